@@ -31,7 +31,7 @@ VARIANTS = (
     Variant("design top", {"design": {"method": "top", "pairs_per_image": 20}}, "the 20 best pairs of an image"),
     Variant("design top 10", {"design": {"method": "top", "pairs_per_image": 10}}, "the 10 best pairs of an image"),
     Variant("design all", {"design": {"method": "all"}}, "every candidate is matched"),
-    Variant("sections split", {"network": {"sections": "split"}}, "sections mapped apart, then joined"),
+    Variant("sections split", {"network": {"sections": "split"}}, "sections mapped separately, then joined"),
     Variant("start from nothing", {"sparse": {"mapper": "global"}}, "COLMAP's global mapper"),
     Variant("rig held", {"sparse": {"rig": "fixed"}}, "never in its own time nor adjusted"),
     Variant("times not found", {"tuning": {"sfm": {"rig": _RIGID}}}, "cameras of a rig fire at one instant"),

@@ -14,12 +14,13 @@ import numpy as np
 CONTRADICTS = re.compile(
     r"contradict|disagree|do(es)? not (agree|fit|belong)|not synchronised|not rigid|do not trust|want a scale|"
     r"stands? in doubt|doubtful|only \d+ of \d+ positions agree|mistaken|exchanged|swapped|mirrored|upside down|"
-    r"principal point lies|turned round|other way round|wrong order|out of order|not noise|bends towards",
+    r"principal point (lies|is)|turned round|other way round|wrong order|out of order|not noise|bends towards",
     re.IGNORECASE,
 )
 """Words of a contradiction in a note. What a stage lists under ``contradictions`` is one whatever its words."""
 HEDGES = re.compile(
-    r"cannot be (told|seen|tested|checked)|could not be (told|computed|checked)|not computed|known (to|only)|rests on|"
+    r"cannot be (told|seen|tested|checked|separated|determined|detected)|could not be (told|computed|checked)|"
+    r"do(es)? not (determine|show)|is unknown|comes from the|not computed|known (to|only)|rests on|"
     r"not georeferenced|hardly|good to|nothing (else )?(\w+ )?(tells|tests|checks|fixes|confirms)",
     re.IGNORECASE,
 )
@@ -43,8 +44,8 @@ NAMES = {
 }
 """Quantity -> the words that name it."""
 _HEDGED = {
-    "images": r"place of \d+ frames? rests on|the rig alone holds them",
-    "plan": r"exchanged|looks the same",
+    "images": r"place of \d+ frames? rests on|only the rig places them",
+    "plan": r"exchanged|has the same effect",
     "scale": r"scale|baseline",
     "yaw": r"heading|yaw|exchanged",
     "tilt": r"tilt|roll|upward|exchanged",
@@ -126,12 +127,12 @@ def sigmas(receipts: Mapping[str, dict], world: dict) -> dict[str, float]:
         out["camera"] = inner
     scale = world.get("scale")
     sparse = receipts.get("sparse", {})
-    for row in _rows(sparse, "mounting in the rig, units of the model", ("camera", "sigma", "sigma of the turn deg")):
+    for row in _rows(sparse, "mounting in the rig, model units", ("camera", "sigma", "sigma of the rotation deg")):
         if _is(scale):
             out[f"place:{row[0]}"] = scale * row[1]
         out[f"turn:{row[0]}"] = row[2]
     for row in _rows(receipts.get("georef", {}), "lever arms of the cameras, in the frame of the first",
-                     ("camera", "sigma m", "sigma of the turn deg")):  # fmt: skip
+                     ("camera", "sigma m", "sigma of the rotation deg")):  # fmt: skip
         out |= {f"place:{row[0]}": row[1], f"turn:{row[0]}": row[2]}
     for camera, name, value, sigma in _rows(sparse, "interior orientation", ("camera", "parameter", "value", "sigma")):
         if name in ("f", "fx") and value:

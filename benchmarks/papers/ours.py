@@ -44,8 +44,8 @@ STEPS: dict[str, Callable[[Receipts], bool]] = {
     "rig, positions or a second try of the mapper": _mapped,
     "final adjustment": _said("sparse", "adjustment", "principal points"),
     "checks of frames, rig and lenses": _tables(
-        "sparse", "placement", "matches explained, the frames with the least", "rig diagnostics",
-        "matches between cameras", "what was given, and the images",
+        "sparse", "placement", "matches that the model explains: frames with the fewest", "rig diagnostics",
+        "matches between cameras", "given values and images compared",
     ),
     "sigmas of the model": lambda receipts: "position_sigma_median" in receipts["sparse"]["counts"],
     "models joined by matches": _joined,

@@ -91,7 +91,7 @@ class Run:
         return order[(first := rng.integers(len(order) - length + 1)) : first + length]
 
     def step(self, frames: np.ndarray, where: str, rng: np.random.Generator) -> np.ndarray:
-        """(3,) of a case, units of the model."""
+        """(3,) of a case, model units."""
         centres = self.rig[:, :3, 3]
         order = self.scene.in_order(
             (self.scene.sequence == self.scene.sequence[frames[0]]) & np.isfinite(centres[:, 0])
@@ -109,7 +109,7 @@ class Run:
         return size * float(rng.choice([-1.0, 1.0])) * ahead
 
     def usual(self) -> float:
-        """Mean step between neighbours of a pass, units of the model: a car stands still at times."""
+        """Mean step between neighbours of a pass, model units: a car stands still at times."""
         steps = []
         for sequence in np.unique(self.scene.sequence):
             order = self.scene.in_order((self.scene.sequence == sequence) & np.isfinite(self.rig[:, 0, 0]))

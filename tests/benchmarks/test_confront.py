@@ -149,14 +149,14 @@ def test_a_stranger_that_finds_a_place_is_wrong() -> None:
 def test_what_a_run_says_is_read_from_its_folder(tmp_path: Path) -> None:
     (tmp_path / "receipts").mkdir()
     mounting = {
-        "columns": ["camera", "x", "y", "z", "sigma", "sigma of the turn deg"],
+        "columns": ["camera", "x", "y", "z", "sigma", "sigma of the rotation deg"],
         "rows": [["b", 1, 0, 0, 0.02, 0.1]],
     }
     interior = {
         "columns": ["camera", "parameter", "value", "sigma"],
         "rows": [["a", "fx", 500.0, 0.5], ["a", "cx", 1, 1]],
     }
-    tables = {"mounting in the rig, units of the model": mounting, "interior orientation": interior}
+    tables = {"mounting in the rig, model units": mounting, "interior orientation": interior}
     receipts = {
         "sparse": {"tables": tables, "notes": ["camera b is not synchronised: it stands off its place in the rig"]},
         "network": {

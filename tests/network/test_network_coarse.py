@@ -90,7 +90,7 @@ def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world, 
     assert len(once) == 1 and len(asked) == TUNING.coarse.tries
     step = world.step
     assert torn.trusted[step < 7].all() and not torn.trusted[step >= 7].any()
-    assert any("not believed" in note for note in torn.notes)
+    assert any("not used at" in note for note in torn.notes)
     assert any(f"made {TUNING.coarse.tries} times" in note for note in torn.notes)
     across = (step[torn.pairs.i] >= 7) != (step[torn.pairs.j] >= 7)
     assert np.isnan(torn.pairs.overlap[across]).all()
@@ -134,7 +134,7 @@ def test_a_camera_that_only_one_model_turns_far_is_made_again(world, believed) -
     models = iter((turned_by(right, 55.0), right))
     found, asked = network_of(world, lambda: next(models))
     assert len(asked) == 2 and found.trusted.all() and len(found.ties) == len(once.ties)
-    assert any("turned a camera of the rig far" in note for note in found.notes)
+    assert any("rotated a camera of the rig too far" in note for note in found.notes)
     # Two models that agree are right: it is the nominal rig that is wrong.
     found, asked = network_of(world, turned_by(right, 55.0))
     assert len(asked) == 2 and found.trusted.all()
@@ -150,7 +150,7 @@ def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_bel
     assert len(asked) == TUNING.coarse.tries
     assert not found.trusted[second].any() and found.trusted[~second].all()
     assert np.array_equal(*(s.rigs[0].sensors[1].sensor_from_rig for s in (found.scene, world.scene)))
-    assert any("not believed for cam1" in note for note in found.notes)
+    assert any("not used for cam1" in note for note in found.notes)
 
 
 @pytest.mark.slow

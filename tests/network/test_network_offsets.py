@@ -173,7 +173,7 @@ def test_four_thousand_images_need_few_previews() -> None:
     assert (hit & useful).sum() / useful.sum() > 0.95
     assert 0.002 < world.asked / (n * (n - 1) / 2) < 0.03
     assert not np.any(network.pairs.dropped == REASONS.index("axes"))
-    assert any("not tried" in note for note in network.notes)
+    assert any("not matched" in note for note in network.notes)
     assert len(network.pairs) < 200 * n  # rows of the table, dropped ones too: bounded by the image
 
 
@@ -239,7 +239,7 @@ def test_couples_of_passes_without_common_view_are_one_note() -> None:
     assert strangers([]) == ()
     (note,) = strangers([f"a - b{k}" for k in range(20)])
     assert note.startswith("no common view was found: a - b0, a - b1")
-    assert note.endswith("and 12 more couples of passes")
+    assert note.endswith("and 12 more pairs of passes")
 
 
 def test_yaw_and_vertical_of_a_ring() -> None:

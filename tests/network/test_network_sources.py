@@ -214,7 +214,7 @@ def test_a_few_lost_neighbours_do_not_part_a_sequence_and_a_handful_of_images_sh
     match, _ = along(np.arange(60.0), 4, lost=0.15)
     assert (ordered(numbered(60), match)[0].sequence == 0).all()
     found, (note,) = ordered(numbered(8), along(np.arange(8.0), 1)[0])
-    assert (found.sequence == -1).all() and "too few to tell" in note
+    assert (found.sequence == -1).all() and "too few for a test" in note
 
 
 @pytest.mark.parametrize("far, sequence", [(20, True), (50, False)])

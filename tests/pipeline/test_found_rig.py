@@ -228,7 +228,7 @@ def test_lengths_that_nothing_tells_in_metres_are_refused_in_a_rig_toml(tmp_path
     with refused(r"nothing in this run told metres, .* of head .* `tiegraph georef .*rig_config"):
         rig_file(out)
     found = rig_file(out, "rig_config")
-    assert says(found.said, "lengths are in units of the model")
+    assert says(found.said, "lengths are in model units")
     rotation = json.loads(found.text)[0]["cameras"][1]["cam_from_rig_rotation"]
     assert len(rotation) == 4 and np.linalg.norm(rotation) == pytest.approx(1)
 

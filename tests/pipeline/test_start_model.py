@@ -94,7 +94,7 @@ def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, tu
         return
     assert sparse["counts"]["start_disagrees"] == 6
     (said,) = [c for c in sparse["contradictions"] if c.startswith("start model and images")]
-    assert "6 of 12 images agree" in said and "turned against the others by 20 deg" in said
+    assert "6 of 12 images agree" in said and "rotated relative to the others by 20 deg" in said
 
 
 def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tmp_path: Path) -> None:
@@ -166,8 +166,8 @@ def test_two_passes_with_odometry_of_their_own_end_in_one_model(
     scene = project.scene()
     assert scene.prior == "odometry", "no pass is placed by what holds for another"
     notes = " ".join(dict((name, receipt) for name, _, receipt in project.status())["candidates"]["notes"])
-    assert "2 passes have poses in worlds of their own" in notes
-    assert ("do not stand in one world" in notes) == (not own_start)
+    assert "2 passes have poses in separate worlds" in notes
+    assert ("are not in one world" in notes) == (not own_start)
     poses = model_poses(project.model(), scene)
     assert poses.placed.all() and len(scene) == 16
     truth = made.centres_m(list(scene.names))

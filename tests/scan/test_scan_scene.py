@@ -417,7 +417,7 @@ def test_a_copied_pass_is_named_with_the_figure(tmp_path: Path) -> None:
     shutil.copytree(tmp_path / "up", tmp_path / "up2")
     scene = scan(tmp_path)
     assert [n for n in scene.notes if "repeats" in n] == [
-        "pass up2 repeats pass up: 8 of 8 images are identical files; pairs between them carry no base, so they are"
+        "pass up2 repeats pass up: 8 of 8 images are identical files; pairs between them have no base, so they are"
         " left out"
     ]
     assert scene.sequences == ("up",) and len(scene) == 8

@@ -45,7 +45,7 @@ def test_blocks_make_one_model(world, tmp_path: Path) -> None:
     shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18, unplaced=1))
     result = run_sparse(tmp_path, scene, shared=shared, covariance_frames=0)
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
-    assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.remarks.notes)
+    assert any("mapped in 2 blocks" in n and "1 of 1 joins" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.006, deg=0.05)
     assert not (tmp_path / "sparse" / ".run").exists()
 
@@ -67,7 +67,7 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
     assert [len(m.images) for m in result.models] == [21, 15]
     (said,) = (n for n in result.remarks.notes if "another survey" in n)
     assert said.startswith("15 images (cam0/007.jpg .. cam2/011.jpg) have no verified pair")
-    assert "mapped by themselves" in said and len(result.tables["runs"]["rows"]) == 1
+    assert "mapped separately" in said and len(result.tables["runs"]["rows"]) == 1
     assert result.tables["models"]["rows"][1][1] == 15
     assert len(result.remarks.dropped) == 15, "nothing is lost without a word"
     assert all(why.startswith("in model 1, not joined to the first") for _, why in result.remarks.dropped)

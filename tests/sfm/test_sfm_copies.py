@@ -51,7 +51,7 @@ def test_marks_in_smaller_and_larger_copies_are_found_and_used(world, true, size
     found = _recognised(world, _marked(true, size * true.marks.xy_px))
     off = np.linalg.norm(found.marks.xy_px - true.marks.xy_px, axis=1)
     assert len(off) == len(true.marks) and 0.01 < off.max() < 3
-    assert any(f"{size:.2g}" in n and "as the file has them" in n for n in found.notes)
+    assert any(f"{size:.2g}" in n and "scaled to these" in n for n in found.notes)
     widest = np.max(found.marks.sigma_px)
     assert widest == pytest.approx(1 / size, rel=0.01) if size < 1 else np.isnan(found.marks.sigma_px).all()
     placed = world.placed_by(world.scene, Measurements(control=found))
@@ -91,7 +91,7 @@ def test_random_marks_are_refused_and_that_is_a_contradiction(world, true) -> No
         for control in (true, _few(true)):
             given = _marked(control, rng.uniform(0, (1024, 768), control.marks.xy_px.shape), 8)
             found, said = as_marked(elsewhere(world.truth), world.scene, Measurements(control=given), WORLD)
-            assert found.control is None and "marks set at random meet as well" in said[0]
+            assert found.control is None and "randomly placed marks would fit as well" in said[0]
 
 
 def test_few_marks_that_are_right_are_used_and_random_ones_beside_them_are_not(world, true) -> None:
@@ -112,7 +112,7 @@ def test_marks_outside_are_left_out_where_no_copy_explains_them(world, true) -> 
     pixels[3] = (1500, 1200)
     found = _recognised(world, _marked(true, pixels))
     assert len(found.marks) == len(true.marks) - 1
-    assert any("1 marks lie outside their images and are left out" in n for n in found.notes)
+    assert any("1 marks are outside their images and are left out" in n for n in found.notes)
 
 
 @pytest.mark.parametrize("parallel", [True, False])
@@ -133,7 +133,7 @@ def test_parallel_views_cannot_tell_and_it_is_said(parallel: bool) -> None:
     scene = lone_scene(6, Sensor("cam", camera))
     copy, note = copy_of(model, scene, marks, WORLD.marks)
     if parallel:
-        assert copy == AS_IS and "cannot tell" in note
+        assert copy == AS_IS and "do not show" in note
     else:
         assert copy.size == pytest.approx(0.5, abs=0.002) and not copy.turned
 

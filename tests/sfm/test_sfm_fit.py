@@ -210,7 +210,7 @@ def test_passes_that_errors_turn_over_each_other_are_held_upright_where_these_ma
         for u in (None, up)
     )
     found = up_to_use(evidence, up, notes, tuning, replace(alone, error=_known(alone, 3.0)), upright)
-    assert (found is up) == held and ("holds it" in notes[0]) == held
+    assert (found is up) == held and ("is used" in notes[0]) == held
     assert held == (np.degrees(np.arccos((upright.similarity.rotation @ up.direction)[2])) < 6 and found is up)
 
 

@@ -54,7 +54,7 @@ def test_positions_that_do_not_tell_the_size_place_nothing(world) -> None:
     survey = with_positions(world.scene, 0.001 * np.random.default_rng(0).standard_normal((20, 3)), 5.0)
     assert world.placed_by(survey).placed  # the rig tells its size
     found = world.placed_by(survey.with_(rigs=tuple(replace(r, nominal=True) for r in survey.rigs)))
-    assert not found.placed and any("do not tell its size" in n for n in found.findings.notes)
+    assert not found.placed and any("do not determine its size" in n for n in found.findings.notes)
 
 
 ARM = (0.9, -0.4, 0.5)
@@ -94,7 +94,7 @@ def test_fixed_rig_alone_gives_the_scale(world) -> None:
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
     shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
-    for change, said in (({"nominal": True}, "nominal"), ({"sensors": short}, "no scale taken from the rig")):
+    for change, said in (({"nominal": True}, "nominal"), ({"sensors": short}, "the rig gives no scale")):
         none = world.placed_by(scene.with_(rigs=(replace(scene.rigs[0], **change),)))
         assert none.scale_source == "none" and any(said in n for n in none.findings.notes)
 

@@ -85,7 +85,7 @@ def test_a_focal_length_far_from_the_given_one_is_a_contradiction(tmp_path: Path
     other = scene.with_(rigs=(replace(rig, sensors=(replace(rig.sensors[0], camera=camera),)),))
     result = _run(tmp_path, other, mapper="incremental", refine_intrinsics="yes", covariance_frames=0)
     lines = [line for line in result.remarks.contradictions if "heights above the ground" in line]
-    assert len(lines) == said and all("1280 px" in line and "2560 px are given" in line for line in lines)
+    assert len(lines) == said and all("1280 px" in line and "but 2560 px are given" in line for line in lines)
 
 
 @pytest.mark.slow
@@ -182,9 +182,9 @@ def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypat
     assert tried == ["global mapping"] * 2 + ["incremental mapping"] + ["final adjustment"] * 2
     assert seeds == [7, 8, 7], "the seed that is asked for, another of the same mapper, that of the other"
     assert result.mapper == "incremental" and result.counts["registered"] == len(scene) and result.sigma is None
-    assert any("stays as mapped" in c and "SIGSEGV" in c for c in result.remarks.contradictions)
+    assert any("stays as the mapper made it" in c and "SIGSEGV" in c for c in result.remarks.contradictions)
     assert any("global mapping" in n and "SIGSEGV" in n for n in result.remarks.notes)
-    ordered = "global mapping, which was asked for, ended its process: the model was made by incremental mapping"
+    ordered = "global mapping was requested, but its process ended: incremental mapping made the model"
     assert (ordered in result.remarks.contradictions) == (asked == "global")
 
 
@@ -221,13 +221,13 @@ def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) ->
     whole = _centre_error(_run(tmp_path, scene), scene, truth)
     result = _run(tmp_path, scene, {"apart": tuple(pairs)})
     assert len(result.models) == 1 and result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
-    table = result.tables["sections mapped apart"]
+    table = result.tables["sections mapped separately"]
     first, second = (dict(zip(table["columns"], row)) for row in table["rows"])
     assert first["images"] + second["images"] == len(scene) and first["joined"] == second["joined"] == "yes"
     assert second["matches that agree"] > 1000 and second["held-out matches that agree %"] > 70
     assert 0 < second["halves differ"] < 0.2 and second["halves differ deg"] < 2
     assert 0 < whole < 0.05 and 0 < _centre_error(result, scene, truth) < 1.5 * whole + 1e-4
-    assert any("2 sections were mapped apart, 2 of them joined" in note for note in result.remarks.notes)
+    assert any("2 sections were mapped separately and 2 of them joined" in note for note in result.remarks.notes)
     assert not any("no verified pair" in note for note in result.remarks.notes)
 
 
@@ -250,7 +250,7 @@ def test_only_what_is_far_from_a_given_focal_length_ran_off(tmp_path: Path) -> N
     assert ran_off(_with_focal(truth, MOST - 0.01), scene, MOST) is None
     assert ran_off(_with_focal(truth, 1 / MOST + 0.01), scene, MOST) is None
     said = ran_off(_with_focal(truth, 2.0), scene, MOST)
-    assert said is not None and f"{2 * given_px:.0f} px, {given_px:.0f} px are given" in said
+    assert said is not None and f"{2 * given_px:.0f} px, but {given_px:.0f} px are given" in said
     assert ran_off(_with_focal(truth, 1 / MOST - 0.01), scene, MOST) is not None
     camera.has_prior_focal_length = False
     guessed = scene.with_(rigs=(replace(rig, sensors=(replace(rig.sensors[0], camera=camera),)),))
@@ -275,7 +275,7 @@ def test_the_model_that_explains_the_images_better_stays(
     costs = {round(2 * px): 1.0, round(px): cost}
     monkeypatch.setattr(mapping, "cost_in_the_end", lambda model, *_: costs[round(model.camera(1).mean_focal_length())])
     assert mapping._near_given_focal_lengths(job, first, "").mapper == kept
-    assert asked == ["global"] and f"{cost:.2f} times as large: kept {kept}" in job.account.notes[0]
+    assert asked == ["global"] and f"{cost:.2f} times as large: the {kept} model is kept" in job.account.notes[0]
     fewer = replace(other, registered=1)
     monkeypatch.setattr(mapping, "_run", lambda *_: fewer)
     assert mapping._near_given_focal_lengths(job, first, "") is first

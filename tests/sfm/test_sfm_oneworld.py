@@ -166,7 +166,7 @@ def test_the_largest_model_with_positions_carries_the_world(survey, joins) -> No
     (first,) = found.others
     assert found.first.placed and first.number == 0 and first.row()[0] == "sparse/0"
     assert (first.by, found.model.num_reg_images()) == (("matches", 40) if joins else ("", 16))
-    said = "24 images of 1 models are not in the world: the recipe has no step for that"
+    said = "24 images of 1 models are not in the world frame: the recipe has no such step"
     assert [line[: len(said)] for line in found.by_hand()] == ([] if joins else [said])
     off = transforms.centre(image_poses(found.model, scene)) - transforms.centre(image_poses(survey[1], scene))
     assert 1e-4 < np.nanmedian(np.linalg.norm(off, axis=1)) < 0.06
@@ -190,7 +190,7 @@ def test_one_place_for_all_frames_is_no_position(survey) -> None:
 def test_a_turn_about_the_track_that_is_open_keeps_a_model_out(survey) -> None:
     """Positions so loose that they tell the place and no turn."""
     found = _joined(survey, NONE, _with_positions(survey, sigma_m=5.0))
-    assert found.others[0].by == "" and "leave the turn about its track open" in found.others[0].why_not
+    assert found.others[0].by == "" and "do not determine the rotation about its track" in found.others[0].why_not
     assert found.model.num_reg_images() == 2 * FIRST
 
 
@@ -199,5 +199,5 @@ def test_positions_that_contradict_the_matches_are_said(survey) -> None:
     right, wrong = (_joined(survey, scene=_with_positions(survey, moved)) for moved in (0.0, 3.0))
     assert right.others[0].by == wrong.others[0].by == "matches"
     assert not right.contradictions and right.others[0].off[0] < 0.1
-    assert len(wrong.contradictions) == 1 and "matches were followed" in wrong.contradictions[0]
+    assert len(wrong.contradictions) == 1 and "matches were used" in wrong.contradictions[0]
     assert 1.5 < wrong.others[0].off[0] < 4.0

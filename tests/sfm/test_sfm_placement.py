@@ -98,7 +98,7 @@ def test_a_frame_at_a_repeated_wall_is_left_out_with_its_reason(world, tmp_path:
     assert {name for name, _ in found.dropped} == {f"cam{s}/006.jpg" for s in range(3)}
     assert all(why.startswith("left out: most of its matches") for _, why in found.dropped)
     assert [row[0] for row in found.table["rows"]] == ["cam0/006.jpg"]
-    assert found.notes == ["1 of 14 frames stood at a doubtful place and were left out; see the table of placement"]
+    assert found.notes == ["1 of 14 frames were at a doubtful place and are left out; see the table of placement"]
     assert model.num_reg_images() == len(scene) - 3
     others = np.arange(scene.frames) != 6
     assert np.linalg.norm(_centres(model, scene) - true, axis=1)[others].max() < 1e-9
@@ -133,7 +133,9 @@ def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras:
     assert found.table()["rows"][0][0] == "cam0/006.jpg" and found.table()["rows"][0][2] < 20
     assert found.percent() == pytest.approx(percent, abs=3)
     (said,) = rivals_told({6: rival}, scene)
-    assert f"cam0/006.jpg: {rival.here} matches agree with its place, {rival.there} with one 3.04 units" in said
+    assert (
+        f"cam0/006.jpg: {rival.here} matches agree with its place, {rival.there} with a place 3.04 model units" in said
+    )
 
 
 @pytest.mark.parametrize(
@@ -165,7 +167,9 @@ def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path
     found = _test(model, scene, tmp_path)
     assert found.table is None and found.dropped == [] and model.num_reg_images() == len(scene)
     named = "cam0/009.jpg, cam0/010.jpg, cam0/011.jpg, cam0/012.jpg and 1 more"
-    assert found.notes == [f"5 of 14 frames stand in doubt: none is left out ({named})"]
+    assert found.notes == [
+        f"5 of 14 frames are at doubtful places; because they are so many, none is left out ({named})"
+    ]
 
 
 def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, tmp_path: Path) -> None:
@@ -216,7 +220,7 @@ def test_frames_that_stand_wrong_together_are_asked_together(agree: dict, contra
     outside[3, 7] = 500.0
     found = _suspects(scene, {**inside, **outside, **agree}, contradict)
     assert list(found) == ([left_out] if left_out else [])
-    assert all("asked together with the 2 it is tied to most" in why for why in found.values())
+    assert all("tested together with the 2 frames it is tied to most" in why for why in found.values())
 
 
 def test_halves_of_two_passes_that_false_ties_hold_together_are_found() -> None:

@@ -139,4 +139,4 @@ def test_a_global_shutter_stays_one(tmp_path: Path) -> None:
     assert not replace(least, gain=0.03, gap_s=0.5).clear(TUNING)
     untimed = scene.with_(time_s=np.full(FRAMES, np.nan))
     notes = finished(model, untimed, tmp_path / "untimed", 20.0).notes
-    assert any("readout_ms = 20 is not used: that needs frames of a pass with times" in n for n in notes)
+    assert any("readout_ms = 20 is not used: it needs frames of a pass with times" in n for n in notes)

@@ -150,7 +150,7 @@ def _own(stated: Stated) -> Iterator[Figure]:
 def pose_figures(
     match: PoseMatch, result: TrajectoryError, predicted: Predicted, tuning: TrajectoryTuning
 ) -> list[Figure]:
-    """What reference poses (K) measure; in units of the model where nothing tells its scale."""
+    """What reference poses (K) measure; in model units where nothing tells its scale."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     fit = result.se3 if predicted.metric else result.sim3
     factor = 1.0 if predicted.metric else 1 / fit.alignment.scale

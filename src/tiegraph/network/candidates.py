@@ -1,11 +1,11 @@
 """The stage candidates: from images and preview matches to candidate pairs, with the order and the rig checked.
 
-Is a pass a sequence? Numbers and regular times of photographs are no evidence of it; their previews are. In a sequence
-neighbours show equal views: three quarters of them tie, and by clearly more matches than images half the pass apart do.
-It is the matches that tell and not the ties alone: a few seconds down a street everything still ties (KITTI: 37 of 40
-such pairs, by 22 matches in the median where neighbours have 271). Where that is not so the images are loose
-photographs: all of them are compared, or look-alikes, and no stage expects the next one beside the last. What the user
-states about the order is not tested.
+Is a pass a sequence? Numbers and regular times of photographs are no evidence of it; their previews are. In a
+sequence neighbours have similar views: three quarters of them tie, and by clearly more matches than images half the
+pass apart. The number of matches decides and not the ties alone: a few seconds down a street everything still ties
+(KITTI: 37 of 40 such pairs, by a median of 22 matches where neighbours have 271). Otherwise the images are loose
+photographs: all of them, or look-alikes, are compared, and no stage relies on their order. An order stated by the
+user is not tested.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from tiegraph.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate pairs by previews and priors, the scene with its rig and order checked, and what people should know."""
+    """Candidate pairs from previews and priors, the scene with its rig and order checked, and notes."""
 
     pairs: Pairs
     scene: Scene
@@ -35,7 +35,7 @@ class Candidates:
     curves: tuple[OffsetCurve, ...]
 
     def pictures(self) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the offset curves, where offsets were looked for."""
+        """(name, PNG) of the offset curves, if offsets were computed."""
         if not self.curves:
             return []
         from tiegraph.network.plots import curves_png  # loads matplotlib
@@ -81,7 +81,7 @@ def find_candidates(
 def _checked(
     scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
-    """The rig check, where any source looks at the images at all."""
+    """The rig check, if any source uses the images."""
     if not {"auto", "offsets", "poses"} & set(settings.sources) and not settings.sequence_cameras:
         return scene, ()
     return check_rigs(scene, find_passes(scene), cache, settings, tuning)
@@ -100,23 +100,23 @@ def _propose(context: Context) -> Proposal:
 def shown_order(
     scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
-    """The scene without the passes whose order was guessed and is not borne out, and what was found.
+    """The scene without passes whose guessed order is not confirmed, and notes.
 
-    The source ``sequence``, where somebody asks for it, says that the order is right; sources that look at no preview
-    show none.
+    The source ``sequence``, if the user asks for it, states that the order is right; sources that use no previews
+    test none.
     """
     if not scene.guessed or "sequence" in settings.sources:
         return scene.with_(guessed=()), ()
     looks = bool({"auto", "offsets", "poses", "retrieval"} & set(settings.sources))
     lost, notes = [], []
     for found in (p for p in find_passes(scene) if scene.sequences[p.sequence] in scene.guessed):
-        shown, why = _shown(found, cache, settings, tuning) if looks else (False, "no preview was looked at")
+        shown, why = _shown(found, cache, settings, tuning) if looks else (False, "no preview was matched")
         if shown:
             notes.append(f"pass {found.name}: a sequence, {why}")
         else:
             lost.append(found.sequence)
             text = f"pass {found.name}: {len(found)} loose photographs and no sequence, although their names or times"
-            notes.append(f"{text} are in order: {why}; --scan.layout sequence takes them for one")
+            notes.append(f"{text} are in order: {why}; --scan.layout sequence reads them as a sequence")
     return _without(scene, lost), tuple(notes)
 
 
@@ -135,11 +135,12 @@ def _shown(found: Pass, cache: MatchCache, settings: CandidatesSettings, tuning:
     counts = cache.measure(first, second)
     close, apart = counts[: len(near)], counts[len(near) :]
     if len(close) < order.least_neighbours:
-        return False, f"its {count} images are too few to tell"
+        return False, f"its {count} images are too few for a test"
     sure = tuning.counts.sure * settings.min_matches
     said = (
-        f"{int(np.sum(close >= sure))} of {len(close)} previews of neighbours tie, and {int(np.sum(apart >= sure))} of "
-        f"{len(apart)} of images half of it apart (medians {np.median(close):.0f} and {np.median(apart):.0f} matches)"
+        f"{int(np.sum(close >= sure))} of {len(close)} previews of neighbours tie, and {int(np.sum(apart >= sure))} "
+        f"of {len(apart)} previews of images half the pass apart (medians {np.median(close):.0f} and "
+        f"{np.median(apart):.0f} matches)"
     )
     least, most = np.percentile(close, order.quartiles[0]), np.percentile(apart, order.quartiles[1])
     chance = settings.min_matches
@@ -148,7 +149,7 @@ def _shown(found: Pass, cache: MatchCache, settings: CandidatesSettings, tuning:
 
 
 def _without(scene: Scene, passes: list[int]) -> Scene:
-    """The scene with the frames of some passes loose, and the others numbered anew."""
+    """The scene with the frames of some passes loose, and the other passes renumbered."""
     if not passes:
         return scene.with_(guessed=())
     kept = [k for k in range(len(scene.sequences)) if k not in passes]

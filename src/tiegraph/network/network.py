@@ -1,9 +1,9 @@
-"""The stage network: the candidate pairs as they go on, with sections of the survey, pictures, and how good the bases
-of pairs are by the coarse model.
+"""The stage network: the final candidate pairs, with sections of the survey, pictures, and the accuracy of their
+bases in the coarse model.
 
-The normal case of stereo (Kraus, Photogrammetry): of n matches, each good to one pixel, the place of one image across
-the base is known from the other to distance / (focal length * sqrt(n)). It tells pairs apart; of a whole network, whose
-images tie in many ways, it says nothing.
+The normal case of stereo (Kraus, Photogrammetry): from n matches, each with a sigma of one pixel, the place of one
+image across the base is known relative to the other to distance / (focal length * sqrt(n)). It compares pairs; it
+does not hold for a whole network, whose images tie in many ways.
 """
 
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene, of_frames
 
 _PAIRS_AT_ONCE = 20_000  # pairs whose points are looked up at once: bounds the memory
-_AXES_LISTED = 1000  # images, beyond which pairs that the axes rule out are counted and not listed
+_AXES_LISTED = 1000  # images, beyond which pairs excluded by the axes are counted and not listed
 
 
 @dataclass(frozen=True)
 class Network:
-    """Candidate pairs, the scene with its sections, and what people should know."""
+    """Candidate pairs, the scene with its sections, and notes."""
 
     pairs: Pairs
     scene: Scene
@@ -58,10 +58,10 @@ def join_network(
     settings: tuple[CandidatesSettings, NetworkSettings],
     tuning: Tuning,
 ) -> Network:
-    """The network of the pairs that candidates and the coarse model left: pairs that the axes of the cameras rule out
-    are listed, all that was previewed has its count, and the survey is cut into sections.
+    """The network of the pairs from candidates and the coarse model: pairs that the axes of the cameras exclude are
+    listed, previewed pairs have their counts, and the survey is cut into sections.
 
-    ``light``: what up cameras show, or the mean grey (N,) of each image alone.
+    ``light``: cues of up cameras, or the mean grey value (N,) of each image alone.
     """
     asked, own = settings
     notes: list[str] = []
@@ -79,8 +79,8 @@ def join_network(
 
 
 def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.ndarray | None, str]:
-    """(F, 3) of the frames and their unit: the priors (in m, or units of a start model) where most frames have one,
-    else those of a model (N, 4, 4) in its own units; None = nowhere."""
+    """(F, 3) positions of the frames and their unit: the priors (in m, or units of a start model) if most frames have
+    one, else those of a model (N, 4, 4) in its own units; None = unknown."""
     prior = scene.world_from_rig[:, :3, 3]
     told = np.isfinite(prior).all(axis=1)
     if told.mean() >= 0.5 or cam_from_world is None:
@@ -91,16 +91,20 @@ def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.nd
 def _with_axes(
     pairs: Pairs, scene: Scene, passes: tuple[Pass, ...], settings: CandidatesSettings
 ) -> tuple[Pairs, list[str]]:
-    """The pairs of one pass that the axes rule out added, but for those the model has found to share surface."""
+    """The pairs with those of one pass that the axes exclude, except pairs that share surface in the model."""
     count = axes_count(passes, settings)
     if not count:
         return pairs, []
-    said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not tried"
+    said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not matched"
     if len(scene) > _AXES_LISTED:
         return pairs, [f"{said} (not listed one by one)"]
     apart = axes_pairs(passes, settings)
     found = int(apart.isin(pairs.kept()).sum())
-    more = f", but for {found} whose shared surface is seen at less by the coarse model" if found else ""
+    more = (
+        (f", except for {found} whose rays to the shared surface meet at a smaller angle in the coarse model")
+        if found
+        else ""
+    )
     return pairs | apart, [said + more]
 
 
@@ -117,9 +121,9 @@ def _sections(
 
 def with_bases(pairs: Pairs, scene: Scene, visibility: Visibility) -> Pairs:
     """The pairs with ``h_over_b`` where both images see points of the model, ``baseline_m`` and ``sigma_m`` (for
-    matches good to one pixel, as many as ``score``) where measured positions tell the model's scale too.
+    matches with a sigma of one pixel, as many as ``score``) where measured positions give the model's scale too.
 
-    A base that is known by poses in metres stays.
+    A base known from poses in metres stays.
     """
     base = np.linalg.norm(visibility.centre[pairs.i] - visibility.centre[pairs.j], axis=1)
     distance = _distances(pairs, visibility)
@@ -137,8 +141,8 @@ def with_bases(pairs: Pairs, scene: Scene, visibility: Visibility) -> Pairs:
 
 
 def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
-    """Size of the model's unit by the frames' prior positions and its image centres (N, 3); NaN where fewer than three
-    frames have both, or their spread is no larger than the sigma of the positions."""
+    """Size of the model's unit from the frames' prior positions and its image centres (N, 3); NaN where fewer than
+    three frames have both, or their spread is no larger than the sigma of the positions."""
     where = of_frames(centre, scene)
     prior = scene.world_from_rig[:, :3, 3]
     both = np.isfinite(where).all(axis=1) & np.isfinite(prior).all(axis=1)
@@ -152,7 +156,7 @@ def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
 
 
 def _distances(pairs: Pairs, visibility: Visibility) -> np.ndarray:
-    """(P,) mean distance of the points that both images see, from either; NaN = none."""
+    """(P,) mean distance of the points that both images see, from both; NaN = none."""
     images = len(visibility.start) - 1
     image = np.repeat(np.arange(images), np.diff(visibility.start))
     away = np.linalg.norm(visibility.xyz[visibility.point] - visibility.centre[image], axis=1)

@@ -15,13 +15,13 @@ MatchFunction = Callable[[np.ndarray], Sequence[Any]]  # pairs (P, 2) -> P featu
 
 @dataclass(frozen=True)
 class Pass:
-    """Frames of one rig on one track, in order: ``images[s, k]`` = image of sensor s in the k-th frame, -1 = none."""
+    """Consecutive frames of one rig: ``images[s, k]`` = image of sensor s in the k-th frame, -1 = none."""
 
     name: str
     sequence: int
     rig_index: int
     rig: Rig
-    frames: np.ndarray  # (n,) i4 frame indices by step
+    frames: np.ndarray  # (n,) i4 frame indices in order
     images: np.ndarray  # (S, n) i4
 
     def __len__(self) -> int:
@@ -29,7 +29,8 @@ class Pass:
 
 
 def find_passes(scene: Scene) -> tuple[Pass, ...]:
-    """The passes of a scene; two rigs on one track are two passes, for their frames are not numbered together."""
+    """The passes of a scene; two rigs on one sequence are two passes, because their frames are not
+    numbered together."""
     found = []
     ids = sorted({(int(t), int(r)) for t, r in zip(scene.sequence, scene.rig) if t >= 0})
     image_of = np.full((scene.frames, max((len(r.sensors) for r in scene.rigs), default=1)), -1, np.int32)
@@ -47,14 +48,14 @@ def find_passes(scene: Scene) -> tuple[Pass, ...]:
 
 
 def loose_images(scene: Scene) -> np.ndarray:
-    """Indices of the images that are on no pass."""
+    """Indices of the images that belong to no pass."""
     return np.flatnonzero(scene.sequence[scene.frame] < 0)
 
 
 class MatchCache:
-    """Preview counts measured so far; each pair is matched once, many at a time. ``known``: what is measured already.
+    """Preview counts measured so far; each pair is matched once, many at a time. ``known``: earlier measurements.
 
-    The one object with a memory here: it stands between the sources so that none measures what another knows.
+    This is the only mutable object here: all sources share it, so that no pair is matched twice.
     """
 
     def __init__(self, match: MatchFunction, images: int, known: PreviewMatches | None = None) -> None:
@@ -80,7 +81,8 @@ class MatchCache:
         return self.known(i, j)
 
     def results(self, i: np.ndarray, j: np.ndarray) -> list[Any]:
-        """Whole results of image pairs (K,), (K,) with i < j, matched anew; their counts and matches are remembered."""
+        """Complete results of image pairs (K,), (K,) with i < j, matched again; their counts and matches are
+        remembered."""
         keys = self._key(np.asarray(i), np.asarray(j))
         unique, place = np.unique(keys, return_inverse=True)
         found = self._matched(unique)
@@ -113,11 +115,11 @@ class MatchCache:
         return self._keys[at] == keys
 
     def matches(self) -> PreviewMatches:
-        """The matches of everything measured."""
+        """The matches of all measured pairs."""
         nothing = np.zeros((0, 2), np.uint16)
         matches = [self._matches.get(int(k), nothing) for k in self._keys]
         return PreviewMatches.make(self._keys // self._images, self._keys % self._images, matches)
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Everything measured: i (K,), j (K,), inliers (K,)."""
+        """All measured pairs: i (K,), j (K,), inliers (K,)."""
         return self._keys // self._images, self._keys % self._images, self._counts

@@ -1,8 +1,8 @@
 """Preview evidence between two passes on a coarse lattice of frames, smoothed and interpolated to every frame.
 
-One preview is a poor witness: at 12 inliers it keeps 85 % of the pairs that SIFT verifies and a third of what it keeps
-is false. Overlap changes slowly along a pass, so the kernel mean over neighbouring frame pairs decides: measured on 120
-rendered images, the same recall at 0.8 instead of 0.5 precision, from a ninth of the previews.
+A single preview is weak evidence: with 12 inliers 85 % of the pairs that SIFT verifies are kept, and a third of the
+kept pairs is false. Overlap changes slowly along a pass, so the kernel mean over neighbouring frame pairs decides:
+measured on 120 rendered images, the same recall at 0.8 instead of 0.5 precision, from a ninth of the previews.
 """
 
 from collections.abc import Iterator
@@ -21,9 +21,9 @@ _ROWS = 64  # of a lattice smoothed together, or frames interpolated together: b
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """What previews of unrelated frames reach: ``mean`` (S, T) of the counts of two cameras, limited to ``lowest`` ..
-    ``highest``; hardly any one preview reaches ``most``; no more than ``most_level`` of the way to the highest is taken
-    off."""
+    """Counts of previews of unrelated frames: ``mean`` (S, T) of the counts of two cameras, limited to ``lowest`` ..
+    ``highest``; hardly any single preview exceeds ``most``; at most the share ``most_level`` of the range up to the
+    highest is subtracted."""
 
     mean: np.ndarray
     most: float
@@ -33,21 +33,21 @@ class NoiseFloor:
 
     @property
     def told(self) -> np.ndarray:
-        """(S, T) the mean, held below the highest: of cameras whose far frames all reach that nothing can be told."""
+        """(S, T) the mean, kept below the highest: for cameras whose far frames all reach that, it is unknown."""
         return np.clip(self.mean, self.lowest, self.lowest + self.most_level * (self.highest - self.lowest))
 
     def above(self, mean: np.ndarray, cameras: tuple) -> np.ndarray:
-        """Means of limited counts of ``cameras`` (an index of ``self.mean``): ``lowest`` where they are no higher than
-        this level, and what stands above it keeps its share of the way to the highest."""
+        """Means of limited counts of ``cameras`` (an index of ``self.mean``): ``lowest`` up to this noise floor;
+        counts above it keep their share of the range up to the highest."""
         level = self.told[cameras]
         return self.lowest + np.maximum(mean - level, 0) * (self.highest - self.lowest) / (self.highest - level)
 
 
 @dataclass(frozen=True)
 class ScoreMatrix:
-    """Evidence between passes p and q: ``inliers[c, d, a, b]`` of sensor c in frame rows[a] of p and sensor d in frame
-    columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match; ``noise_floor``: what
-    unrelated frames reach, None where it cannot be told (chance)."""
+    """Evidence between passes p and q: ``inliers[c, d, a, b]`` of sensor c in frame rows[a] of p and sensor d in
+    frame columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match; ``noise_floor``:
+    counts of unrelated frames, None = unknown (chance)."""
 
     p: Pass
     q: Pass
@@ -96,16 +96,16 @@ class ScoreMatrix:
         return rows
 
     def smoothed(self, min_matches: int, tuning: Tuning) -> np.ndarray:
-        """(S, T, A, B) f4 kernel mean of the counts, limited to what they tell (``CountsTuning``), above the level of
-        unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which carries
-        evidence to its neighbours in time."""
+        """(S, T, A, B) f4 kernel mean of the counts, limited to their informative range (``CountsTuning``), above the
+        noise floor of unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which
+        gives evidence to its neighbours in time."""
         out = np.full(self.inliers.shape, np.nan, np.float32)
         self.smooth_again(out, np.ones(len(self.rows), bool), min_matches, tuning)
         return out
 
     def smooth_again(self, smooth: np.ndarray, rows: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
-        """Work ``smoothed`` out anew in place where the nodes of rows (A,) bool tell: (A,) bool, the rows that may
-        differ. A lattice grows at few fronts: to smooth all of it at each step took time with the square of a pass."""
+        """Update ``smoothed`` in place for nodes of rows (A,) bool: returns (A,) bool, the rows that may differ. A
+        lattice grows at few fronts: smoothing all of it at each step took time with the square of a pass."""
         low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
         sigma, cut = tuning.counts.sigma_nodes, tuning.offsets.scores.kernel_cut_sigmas
         radius = int(cut * sigma + 0.5)
@@ -131,15 +131,15 @@ class ScoreMatrix:
         return touched
 
     def sure(self, min_matches: int, tuning: CountsTuning) -> float:
-        """Matches by which a pair is believed whatever its neighbours say."""
+        """Matches from which a pair is accepted whatever its neighbours show."""
         return tuning.ceiling * min_matches if self.noise_floor is None else self.noise_floor.most
 
     def frontier(
         self, smooth: np.ndarray, min_matches: float, beside: np.ndarray, touched: np.ndarray | None = None
     ) -> Nodes:
         """(K,) each, in C order: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``, where
-        ``beside`` (A, B) is set. Of a pass with itself one of the two nodes that hold the same image pair. ``touched``
-        (A,) bool: the rows that were smoothed anew, where the neighbours of all others are measured."""
+        ``beside`` (A, B) is set. For a pass with itself, one of the two nodes with the same image pair. ``touched``
+        (A,) bool: the rows that were smoothed again; the neighbours of all other rows are measured."""
         asked = np.ones(len(self.rows), bool) if touched is None else _widened(touched, 1)
         found = [(np.zeros(0, int),) * 4]
         for c, d in np.argwhere(self.allowed & (not self.same or np.tri(*self.allowed.shape, dtype=bool).T)):
@@ -164,8 +164,8 @@ class ScoreMatrix:
         return c, d, a, b
 
     def confirmed(self, smooth: np.ndarray, min_matches: float, tuning: Tuning) -> np.ndarray:
-        """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach ``peak`` times it lowered to
-        chance (hysteresis, as in Canny 1986): a patch of faint nodes at a rim is noise."""
+        """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach ``peak`` times it lowered
+        to chance (hysteresis, as in Canny 1986): an isolated patch of low counts is noise."""
         out = smooth.copy()
         least, chance = tuning.offsets.scores.peak * min_matches, tuning.counts.floor * min_matches
         for c, d in np.argwhere(self.allowed):
@@ -186,7 +186,7 @@ class ScoreMatrix:
             if self.same and c > d:
                 continue
             surface = np.where(np.isfinite(smooth[c, d]), smooth[c, d], low)
-            # The count between an image and itself is not known: as high as any of its neighbours'.
+            # The count between an image and itself is unknown: it is set to the highest of its neighbours.
             counts = np.where(np.isfinite(self.inliers[c, d]), self.inliers[c, d], surface)
             hot = np.asarray(surface >= threshold)
             take = np.flatnonzero(_reach(np.any(hot, axis=1))[row])
@@ -211,8 +211,8 @@ def score_matrix(
 
 
 def _boxes(rows: np.ndarray, radius: int) -> Iterator[tuple[slice, slice]]:
-    """The rows (A,) bool of a lattice, some after the other, and the box of each part: as many rows more on either
-    side as a kernel reaches."""
+    """The rows (A,) bool of a lattice in parts, and the box of each part: extended on both sides by the reach of a
+    kernel."""
     ends = np.flatnonzero(np.diff(rows, prepend=False, append=False))
     for start, stop in ends.reshape(-1, 2).tolist():
         for first in range(start, stop, _ROWS):
@@ -221,34 +221,34 @@ def _boxes(rows: np.ndarray, radius: int) -> Iterator[tuple[slice, slice]]:
 
 
 def _span(known: np.ndarray) -> slice | None:
-    """The columns of a box (A, B) bool between the first and the last that hold something; None: nothing does.
-    Between two long passes only a band is known: time grows with their length, not with its square."""
+    """The columns of a box (A, B) bool between the first and the last non-empty one; None if all are empty. Between
+    two long passes only a band is known: time grows with their length, not with its square."""
     columns = np.flatnonzero(known.any(axis=0))
     return slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else None
 
 
 def _widened(rows: np.ndarray, radius: int) -> np.ndarray:
-    """(A,) bool: rows that are at most so many from one of these."""
+    """(A,) bool: rows at most this far from one of these."""
     return np.asarray(maximum_filter1d(rows, 2 * radius + 1, mode="constant"))
 
 
 def _blurred(grid: np.ndarray, sigma: float, cut: float) -> np.ndarray:
-    """(A, B) f4 Gaussian, cut after so many sigmas, zero outside."""
+    """(A, B) f4 Gaussian, cut after this many sigmas, zero outside."""
     return gaussian_filter(grid.astype(np.float32), sigma, mode="constant", truncate=cut)
 
 
 def _bilinear(
     grid: np.ndarray, row: np.ndarray, row_share: np.ndarray, column: np.ndarray, column_share: np.ndarray
 ) -> np.ndarray:
-    """(K, L) values of a grid (A, B) at rows (K,) and columns (L,) plus a share (0 .. 1) of the way to the next."""
+    """(K, L) values of a grid (A, B) at rows (K,) and columns (L,) plus a fraction (0 .. 1) towards the next."""
     below, right = np.minimum(row + 1, len(grid) - 1), np.minimum(column + 1, grid.shape[1] - 1)
     rows = grid[row] * (1 - row_share[:, None]) + grid[below] * row_share[:, None]
     return rows[:, column] * (1 - column_share) + rows[:, right] * column_share
 
 
 def _every(n: int, stride: int, short: int) -> np.ndarray:
-    """Every ``stride``-th of n and the last one, in the place of one that is less than a stride's half before it: on a
-    pass of few nodes (``short``) two columns side by side cost a third of the lattice and tell nothing."""
+    """Every ``stride``-th of n and the last one, which replaces one less than half a stride before it: on a pass of
+    few nodes (``short``) two adjacent columns cost a third of the lattice and add no information."""
     places = np.arange(0, n, stride)
     if 2 < len(places) <= short and 2 * (n - 1 - places[-1]) <= stride:
         places = places[:-1]
@@ -256,7 +256,7 @@ def _every(n: int, stride: int, short: int) -> np.ndarray:
 
 
 def _between(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every rank from the first to the last node: ranks (K,), node below (K,), share of the way to the next (K,)."""
+    """Every rank from the first to the last node: ranks (K,), node below (K,), fraction towards the next (K,)."""
     ranks = np.arange(nodes[-1] + 1)
     below = np.clip(np.searchsorted(nodes, ranks, side="right") - 1, 0, len(nodes) - 1)
     above = np.minimum(below + 1, len(nodes) - 1)
@@ -265,7 +265,7 @@ def _between(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _reach(hot: np.ndarray) -> np.ndarray:
-    """Nodes that are hot or stand just before a hot one: the cells a hot node touches."""
+    """Nodes that are hot or just before a hot one: the cells that a hot node touches."""
     return hot | np.append(hot[1:], False)
 
 

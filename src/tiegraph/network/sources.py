@@ -27,18 +27,18 @@ Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
 
 @dataclass(frozen=True)
 class Context:
-    """What a source may use."""
+    """The input of a source."""
 
     scene: Scene
     passes: tuple[Pass, ...]
     cache: MatchCache
     settings: CandidatesSettings
     tuning: Tuning
-    descriptors: Descriptors | None = None  # of all previews; None = there is no looking for look-alikes
+    descriptors: Descriptors | None = None  # of all previews; None = no retrieval
 
 
 def sequence(context: Context) -> Proposal:
-    """Each image with the next frames of its camera; of a rig also with the neighbouring cameras, if so set."""
+    """Each image with the next frames of its camera; in a rig also with the neighbouring cameras, if so set."""
     settings = context.settings
     out = []
     for p in context.passes:
@@ -87,8 +87,8 @@ def offsets(context: Context) -> Proposal:
 
 
 def poses(context: Context) -> Proposal:
-    """Pairs by prior poses (paper 003), which a sample of previews checks. What the poses cannot compare, frames
-    without prior or with a wrong one and passes with odometry of their own, previews tie, so that none is lost."""
+    """Pairs by prior poses (paper 003), checked by a sample of previews. Frames without a prior or with a wrong one,
+    and passes with separate odometry, cannot be compared by poses: previews tie them, so that none is lost."""
     found = checked_pose_pairs(context.scene, context.passes, context.cache, context.settings, context.tuning)
     known = Proposal(found.pairs, found.notes, apart=found.apart)
     compared = found.world.min() >= 0 and np.ptp(found.world) == 0
@@ -96,24 +96,24 @@ def poses(context: Context) -> Proposal:
 
 
 def _not_compared(context: Context, found: PoseResult) -> Proposal:
-    """Pairs by previews and order of images that the poses do not compare: of different worlds, or without one."""
+    """Pairs by previews and order for images that the poses do not compare: of different worlds, or without a pose."""
     scene, world = context.scene, found.world[context.scene.frame]
     worlds = len(np.unique(world[world >= 0]))
     pairs = offsets(context).pairs | sequence(context).pairs
     alone = np.intersect1d(loose_images(scene), np.flatnonzero(world < 0))
     pairs = pairs | scored_pairs(scene, alone, context.cache, context.settings, context.tuning)
-    if worlds > 1 and context.descriptors is not None:  # passes may meet at a place only
+    if worlds > 1 and context.descriptors is not None:  # passes may meet at single places
         pairs = pairs | retrieval(context, found.pairs | pairs).pairs
     pairs = pairs.where(np.any(_which(world, pairs), axis=0))
     lost, across = (int(which.sum()) for which in _which(world, pairs.kept()))
     notes = []
     if len(found.without):
-        notes.append(f"poses: frames without prior are tied by previews and order instead: {lost} pairs")
+        notes.append(f"poses: frames without a prior are tied by previews and order instead: {lost} pairs")
     if worlds > 1:
-        none = "" if across else "; nothing ties them, so that they can only make models of their own"
+        none = "" if across else "; nothing ties them, so they can only form separate models"
         notes.append(
-            f"poses: {worlds} passes have poses in worlds of their own, which say nothing of each other, and are tied "
-            f"by previews: {across} pairs{none}"
+            f"poses: {worlds} passes have poses in separate worlds, which cannot be compared, and are tied by "
+            f"previews: {across} pairs{none}"
         )
     return Proposal(pairs, tuple(notes))
 
@@ -129,7 +129,7 @@ def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
     """Look-alikes: loose photographs, and loops of passes away from the ``known`` pairs. Raises SettingsError if the
     caller has no descriptors."""
     if context.descriptors is None:
-        raise SettingsError("candidates.sources has 'retrieval', but the previews' descriptors are not at hand")
+        raise SettingsError("candidates.sources has 'retrieval', but the descriptors of the previews are not available")
     looked = context.scene, context.passes, context.cache, context.settings, context.tuning
     return retrieve(*looked, context.descriptors, known)
 
@@ -145,24 +145,25 @@ SOURCES: dict[str, Callable[[Context], Proposal]] = {
 
 
 def automatic(context: Context) -> Proposal:
-    """What suits the scene: passes by order and offsets, priors where there are some, loose photographs by previews."""
+    """The sources for the scene: passes by order and offsets, priors if there are any, loose
+    photographs by previews."""
     scene = context.scene
     loose = loose_images(scene)
     parts: list[Proposal] = []
     said: list[str] = []
     if len(loose) == len(scene) and len(loose) <= context.tuning.sources.few_photos:
         said.append("exhaustive")
-        every = exhaustive(context)  # previewed, none dropped: the design needs to know what they share
+        every = exhaustive(context)  # previewed, none dropped: the design needs their overlap
         score = context.cache.measure(every.pairs.i, every.pairs.j)
         parts.append(replace(every, pairs=every.pairs.with_(score=score)))
     else:
         if context.passes:
             said += ["sequence", "offsets"]
             parts += [sequence(context), offsets(context)]
-        # Along a pass previews know more than positions alone.
+        # Along a pass previews are better than positions alone.
         if scene.has_orientations() or (len(loose) and scene.has_positions()):
             said.append("poses")
-            # Poses along a pass are judged by the coarse model; of loose photographs every pair is looked at.
+            # Poses along a pass are judged by the coarse model; for loose photographs every pair is previewed.
             parts.append(confirmed(poses(context), context) if len(loose) else poses(context))
         if context.descriptors is not None:
             said.append("retrieval")
@@ -180,7 +181,7 @@ def automatic(context: Context) -> Proposal:
 def confirmed(proposal: Proposal, context: Context) -> Proposal:
     """A proposal with its kept pairs previewed: those that share too little are dropped as ``weak``.
 
-    Of a loose photograph the nearest ones stay whatever the preview says.
+    The nearest pairs of a loose photograph are kept whatever their previews show.
     """
     pairs = proposal.pairs
     kept = np.flatnonzero(pairs.dropped == 0)

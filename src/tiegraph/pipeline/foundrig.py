@@ -64,7 +64,7 @@ class FoundRun:
     antenna_m: tuple[float, float, float] | None
     tuning: Tunings
     said: list[str] = field(default_factory=list)
-    unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in units of the model
+    unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in model units
 
     def drawn(self, index: int) -> Rig:
         """A rig as candidates left it, before the coarse model turned cameras."""
@@ -330,7 +330,7 @@ def _say_scale(run: FoundRun, rig: Rig) -> None:
         run.said.append(f"{rig.name}: lengths are in metres by {metres.source}{known}")
     elif any(s.sensor_from_rig is not None and s.sensor_from_rig[:3, 3].any() for s in rig.sensors):
         run.unscaled.append(rig.name)
-        run.said.append(f"{rig.name}: lengths are in units of the model, for nothing told metres")
+        run.said.append(f"{rig.name}: lengths are in model units, for nothing told metres")
 
 
 def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:

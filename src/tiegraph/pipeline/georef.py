@@ -186,7 +186,7 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
         return {}
     scale = placed.world_from_model.scale
     rows = [[row[0], *(round(scale * v, 5) for v in row[1:5]), round(row[5], 4)] for row in found["rows"]]
-    columns = ["camera", "x m", "y m", "z m", "sigma m", "sigma of the turn deg"]
+    columns = ["camera", "x m", "y m", "z m", "sigma m", "sigma of the rotation deg"]
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 

@@ -358,7 +358,7 @@ def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> 
         else:
             kind = "folder" if "/" in copy + original else "pass"
             text = f"{kind} {copy or '.'} repeats {kind} {original or '.'}: {said} are identical files"
-            out.append(f"{text}; pairs between them carry no base, so they are left out")
+            out.append(f"{text}; pairs between them have no base, so they are left out")
     return out
 
 

@@ -24,7 +24,7 @@ _ROUNDS = 10  # of the rotations of all blocks
 @dataclass(frozen=True)
 class Poses:
     """What joining needs of a model: ``images`` (K,) increasing numbers, ``cam_from_world`` (K, 4, 4) without NaN,
-    ``range_`` usual distance to what they see, in units of the model."""
+    ``range_`` usual distance to what they see, in model units."""
 
     images: np.ndarray
     cam_from_world: np.ndarray

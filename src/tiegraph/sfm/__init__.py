@@ -13,7 +13,8 @@ that no lens has, is reported to contradict the images (``registrationreport``);
 **Final adjustment** (``adjustment``). Every model goes through one robust adjustment with free principal points, which
 COLMAP holds (on the example survey that bends rig and model), and, for RADIAL cameras, with aspect and decentring
 under priors (``adjustment.lens``): otherwise the rotations of a rig take up what a lens has of them. Points that only
-one shot saw are left out: false matches of cameras centimetres apart meet close by and weigh much.
+shot saw are left out: false matches between cameras centimetres apart intersect close to the rig and have a large
+weight.
 
 **After the mapper** (``finish``, in a child process of its own): registration is repaired and completed
 (``sfm.placement``), the rig is tested against the images, and cameras that fire apart get their times (``sfm.rig``),
@@ -21,22 +22,27 @@ sigmas are estimated (``covariance``), and ``sfm.world`` places the model.
 
 **The model in formulas.** Unknowns: pose (R_f, c_f) of each frame, extrinsics E_s, lens k_s and, where cameras fire
 apart, time tau_s of each sensor, points X_j; in the world the similarity (s, R, t), the antenna a in the rig frame, the
-clock delta of the receiver, and what all its positions share, q. What is observed, and with which error:
+apart, time tau_s of each sensor, points X_j; in the world the similarity (s, R, t), the antenna a in the rig frame,
+the clock offset delta of the receiver, and the error q that all its positions share. The observations and their
+errors:
 
-* sighting of point j by sensor s of frame f: x = pi(k_s, E_s (R_f (X_j - c_f))) + e, Cauchy of scale 0.5 px; the
-  sightings of one point err together, so that sigmas come from the gradient of each point (``covariance``);
-* what a file gives of E_s and k_s: given + N(0, its sigma); what all cameras of a rig have in common tells of each
-  (``adjustment.leverarmprior``); a camera of its own time stands at its place after the motion of tau_s
-  (``motion``);
-* position i of stated sigma u_i at time t_i: p_i = s R (c + R' a)(t_i + delta) + t + q + u_i (w n_i + g z_i); c, R'
-  are cubics through the frames' poses, n white, z a first-order Gauss-Markov process (``world.positionerrors``);
-* the model's shape, as far as the images leave it open: c_f + sum_m v_fm b_m, b_m of variance 1 (``shape``);
-* control points, scale bars, orientations, the cameras' upright: value + N(0, sigma) (``world``).
+* observation of point j by sensor s of frame f: x = pi(k_s, E_s (R_f (X_j - c_f))) + e, Cauchy of scale 0.5 px; the
+  observations of one point have correlated errors, so sigmas are computed from the gradient of each point
+  (``covariance``);
+* values that a file gives for E_s and k_s: given + N(0, its sigma); the geometry that the cameras of a rig have in
+  common is a prior for each of them (``adjustment.leverarmprior``); a camera that fires late is at its place after
+  the motion of tau_s (``motion``);
+* position i of stated sigma u_i at time t_i: p_i = s R (c + R' a)(t_i + delta) + t + q + u_i (w n_i + g z_i); c and
+  R' are cubics through the frames' poses, n is white, z is a first-order Gauss-Markov process
+  (``world.positionerrors``);
+* the shape of the model, where the images leave it undetermined: c_f + sum_m v_fm b_m, b_m of variance 1 (``shape``);
+* control points, scale bars, orientations, the upward direction of the cameras: value + N(0, sigma) (``world``).
 
-The variance components w, g and the time that z lasts are the likeliest; a and delta have priors of 1 m and of a step
-between frames, and stay there, and count, where the positions tell them to no better than nine tenths of it. The rig as
-given is tested by freeing its groups in the same normal equations (``rig.linear``, ``rig.priortest``); statements of
-two sources differ beyond a chance of 0.1 % (``scene.evidence``).
+The variance components w and g and the correlation time of z are maximum likelihood estimates. a and delta have
+priors of 1 m and of one step between frames; where the positions reduce these sigmas by less than a tenth, a and
+delta keep their prior values and their uncertainty is propagated. The rig as given is tested by freeing groups of its
+parameters in the same normal equations (``rig.linear``, ``rig.priortest``). Statements of two sources contradict each
+other if their difference has a probability below 0.1 % (``scene.evidence``).
 
 Adjustments go through pycolmap's Ceres problem. Its wheel names the types of pyceres but holds no ``Problem``, so the
 package pyceres is a dependency. Own camera models and an own bundle adjustment are

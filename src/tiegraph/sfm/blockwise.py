@@ -1,8 +1,8 @@
-"""A large survey mapped in blocks, roughly and in parallel, for poses that the whole can start from.
+"""A large survey mapped roughly in blocks and in parallel, to give the poses from which the whole survey is adjusted.
 
-A mapper's time grows faster than its images, and so does what one false tie can bend. Blocks keep both passes of a
-place together and lend each other the frames at their borders (``scene/blocks.py``); their models are joined by the
-images they share (``scene/joining.py``). The start from their poses then adjusts all at once.
+A mapper's time grows faster than the number of images, and so does the damage of one false tie. Blocks keep both
+passes of a place together and share the frames at their borders (``scene/blocks.py``); their models are joined by the
+shared images (``scene/joining.py``). All images are then adjusted together, starting from these poses.
 """
 
 import logging
@@ -45,15 +45,15 @@ class _Links:
     matches: np.ndarray
 
     def counts(self) -> np.ndarray:
-        """(T,) matches."""
+        """(T,) numbers of matches."""
         return self.matches
 
 
 def poses_by_blocks(
     request: Request, scene: Scene, graph: ViewGraph, tuning: SceneTuning, log_file: Path, run_map: RunMap
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """cam_from_world (N, 4, 4) of all images from rough models of blocks, NaN = in no block of the largest part; notes.
-    ``request``: that of the whole; ``run_map`` runs the blocks."""
+    """cam_from_world (N, 4, 4) of all images from rough models of blocks, NaN = in no block of the largest component;
+    notes. ``request``: the request of the whole survey; ``run_map`` runs the blocks."""
     blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers), tuning.blocks)
     parts = [
         replace(
@@ -72,7 +72,7 @@ def poses_by_blocks(
 
 
 def _map_block(request: Request, log_file: Path) -> list[Poses]:
-    """The models of a block, roughly; none if COLMAP finds none or gives up."""
+    """The rough models of a block; none if COLMAP finds none or gives up."""
     try:
         mapped: MappingResult = run_in_child(run_mapper, request, log=log_file, task="mapping of a block")
     except ReconstructionError as error:
@@ -95,8 +95,8 @@ def _poses(model: pycolmap.Reconstruction, scene: Scene) -> Poses | None:
 
 
 def _together(count: int, made: Sequence[tuple[Block, Poses]], joined: JoinResult) -> np.ndarray:
-    """(N, 4, 4) of the largest part; an image is taken from the block whose own it is, else from one that was lent
-    it."""
+    """(N, 4, 4) poses of the largest component; an image is taken from the block that owns it, else from a block that
+    shares it."""
     out = np.full((count, 4, 4), np.nan)
     for own in (False, True):
         for k, (block, model) in enumerate(made):
@@ -111,6 +111,6 @@ def _notes(blocks: Sequence[Block], made: Sequence[tuple[Block, Poses]], joined:
     placed = sum(joined.part[k] == 0 for k in range(len(made)))
     text = (
         f"mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images ({len(made)} models, "
-        f"{placed} of them in one part; {held} of {len(joined.joins)} joins hold)"
+        f"{placed} of them in one component; {held} of {len(joined.joins)} joins between blocks are consistent)"
     )
     return (text,)

@@ -1,16 +1,17 @@
-"""How well the adjustment knows poses, rig, lenses and points: points eliminated, shared errors together, free gauge.
+"""Covariances of poses, rig, lenses and points: points eliminated, correlated errors considered, free gauge.
 
 The final adjustment is an M-estimator, and its observations are neither normal nor independent: residuals have long
-tails, and the sightings of a point err together. So the covariance is a sandwich (Huber 1967; clusters: Liang and
-Zeger 1986): A^-1 B A^-1, with A the curvature of the robust cost and B the sum over the points of g g', g the point's
-share of the gradient. Nothing is assumed of sigma or correlation within a track. What all points of a lens or of an
-image share comes on top (``systematic``), as far as the residuals show it. So it is with what is held: the cameras of a
-rig that the images contradict pull on everything by as much as they stand off their file (``confront``).
+tails, and the observations of one point have correlated errors. So the covariance is a sandwich (Huber 1967;
+clusters: Liang and Zeger 1986): A^-1 B A^-1, with A the curvature of the robust cost and B the sum of g g' over the
+points, where g is the point's share of the gradient. No sigma and no correlation within a track is assumed. Errors
+that all points of a lens or of an image share are added (``systematic``), as far as the residuals show them. The same
+holds for parameters that are held: where the images contradict the cameras of a rig, their deviation from the file is
+propagated (``confront``).
 
-Long tails and errors shared within a track widen the sigmas. All points, rig and lenses are unknowns, the gauge is
-free (``normal``: sparse, up to 3000 frames; derivatives in ``jacobians``). The table ``interior orientation`` of the
-receipt has sigma and strongest correlation of each parameter; lever arms with their sigmas stand in another table, in
-metres in that of ``georef``.
+Long tails and correlated errors within a track increase the sigmas. All points, rig and lenses are unknowns, and the
+gauge is free (``normal``: sparse, up to 3000 frames; derivatives in ``jacobians``). The table ``interior
+orientation`` of the receipt has the sigma and the strongest correlation of each parameter; another table has the
+lever arms with their sigmas, in metres in the receipt of ``georef``.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class Mounting:
-    """A camera in its rig: centre (3,) in the frame of the reference, model units, sigma of it, sigma of the turn."""
+    """A camera in its rig: centre (3,) in the frame of the reference, model units, its sigma, and the sigma of its
+    rotation."""
 
     centre: tuple[float, float, float]
     sigma: float  # model units, root sum of squares
@@ -57,9 +59,9 @@ class PointSigma:
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """What independent errors of normal distribution do not explain: of lenses, of cameras off their places in the rig.
+    """Errors beyond independent normal ones: of lenses, and of cameras that are not at their places in the rig.
 
-    ``widened``: sigmas over those that such errors would have (median of the frames).
+    ``widened``: sigmas divided by those of independent normal errors (median of the frames).
     """
 
     widened: float
@@ -68,10 +70,11 @@ class SharedErrors:
 
 @dataclass(frozen=True)
 class PositionSigma:
-    """One-sigma uncertainty of frames, points, scale, lenses after the best similarity of the positions to the truth.
+    """One-sigma uncertainty of frames, points, scale and lenses after the best similarity of the positions to the
+    truth.
 
-    ``interior``: rows of INTERIOR, one an adjusted parameter; ``mounting``: of a camera in its rig, by camera id.
-    Of a large model the frames are a part, evenly over the pass; the points are always a random part.
+    ``interior``: rows of INTERIOR, one for each adjusted parameter; ``mounting``: cameras in their rig, by camera id.
+    For a large model the frames are a sample, evenly over the pass; the points are always a random sample.
     """
 
     frame_ids: tuple[int, ...]  # of the model
@@ -87,7 +90,7 @@ class PositionSigma:
 
     @property
     def turn(self) -> np.ndarray:
-        """(F, 3) sigmas of the frames' turns about the model's axes, rad."""
+        """(F, 3) sigmas of the frames' rotations about the model's axes, rad."""
         return np.zeros((0, 3)) if self.turns is None else _root(np.einsum("kii->ki", self.turns))
 
     @property
@@ -101,7 +104,8 @@ class PositionSigma:
         return float(np.percentile(np.linalg.norm(self.sigma, axis=1), 90))
 
     def covering(self, steps: Mapping[int, np.ndarray]) -> PositionSigma:
-        """The same where frames (ids of the model) could as well stand a ``step`` (3,) away."""
+        """The same with sigmas that also cover the alternative places of frames (ids of the model), each a ``step``
+        (3,) away."""
         away = np.array([steps.get(k, np.zeros(3)) for k in self.frame_ids]).reshape(-1, 3)
         full = None if self.covariance is None else self.covariance + block_diag(*(np.outer(a, a) for a in away))
         return replace(self, sigma=np.hypot(self.sigma, away), covariance=full)
@@ -114,7 +118,7 @@ class PositionSigma:
             out[INTERIOR_TABLE] = {"columns": list(INTERIOR), "rows": rows}
         if self.mounting:
             named = [[names.get(k, k), *m.centre, m.sigma, m.sigma_deg] for k, m in self.mounting.items()]
-            out[MOUNTING] = {"columns": ["camera", "x", "y", "z", "sigma", "sigma of the turn deg"], "rows": named}
+            out[MOUNTING] = {"columns": ["camera", "x", "y", "z", "sigma", "sigma of the rotation deg"], "rows": named}
         lenses = self.shared.lenses
         bins = [[names.get(f.camera, f.camera), *(round(v, 2) for v in row)] for f in lenses for row in f.worst]
         if bins:
@@ -122,15 +126,16 @@ class PositionSigma:
         return out
 
     def open_mountings(self, tuning: SigmaTuning) -> dict[int, float]:
-        """Camera id -> sigma of its place in the rig over its distance from the reference, where that is large."""
+        """Camera id -> sigma of its place in the rig divided by its distance from the reference,
+        where that is large."""
         shares = {k: m.sigma / max(float(np.linalg.norm(m.centre)), 1e-12) for k, m in self.mounting.items()}
         most = tuning.open_times * self.median
         return {k: s for k, s in shares.items() if s > tuning.open_share and self.mounting[k].sigma > most}
 
 
 INTERIOR_TABLE = "interior orientation"
-MOUNTING = "mounting in the rig, units of the model"
-LENS = "lens errors left: mean residual where it is not noise"
+MOUNTING = "mounting in the rig, model units"
+LENS = "remaining lens errors: mean residuals beyond noise"
 INTERIOR = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")
 
 
@@ -146,11 +151,11 @@ def position_sigma(
 ) -> PositionSigma:
     """Sigmas of registered frames, points, scale, rig and interior orientation, from the gradient of every point.
 
-    Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``nominal``: geometry of
-    rigs by rig id; ``off``: how far the cameras of contradicted rigs may be off (``misplaced``); ``times``: the ways of
-    the images, and sigmas of when cameras (ids) fire, s (``untimed``). The gauge is taken out by the S-transformation
-    over all positions, so a sigma is that of a position after the best alignment to the truth.
-    (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
+    Intrinsics and rig extrinsics are unknowns unless stated otherwise (ids of cameras, of rigs). ``nominal``:
+    geometry of rigs by rig id; ``off``: how far the cameras of contradicted rigs may be off (``misplaced``);
+    ``times``: the paths of the images, and sigmas of the firing times of cameras (ids), s (``untimed``). The gauge is
+    removed by the S-transformation over all positions, so a sigma is that of a position after the best alignment to
+    the truth. (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
     layout = Layout(model, free_intrinsics, free_rig)
     seen = Linearised(model, layout, nominal or {}, tuning, tuning.sigma.most_points)
@@ -173,7 +178,7 @@ def planned_sigma(
     *,
     tuning: Tuning,
 ) -> PositionSigma:
-    """The same of a network that is simulated: shared errors are not looked for, but of the size that is assumed.
+    """The same for a simulated network: shared errors are not estimated but have the assumed size.
 
     Raises ValueError for a model without redundancy.
     """
@@ -185,7 +190,7 @@ def planned_sigma(
 
 
 class _Told:
-    """What the observations of points say, to which shared errors are added."""
+    """The information from the observations of points, to which shared errors are added."""
 
     def __init__(self, seen: Linearised, tuning: SigmaTuning) -> None:
         weighed, variance = seen.weighed, seen.variance
@@ -197,18 +202,18 @@ class _Told:
         self.full += variance**2 * self.solved.T @ (seen.pull @ self.solved)
 
     def add(self, effects: Collection[Effect]) -> None:
-        """More covariance, of the effects of shared errors."""
+        """Add the covariance of the effects of shared errors."""
         for effect in effects:
             self.full += effect.covariance(self.solved)
 
     def of(self, model: pycolmap.Reconstruction, lenses: tuple[LensError, ...]) -> PositionSigma:
-        """All that is told."""
+        """All sigmas together."""
         seen, asked, full, (first, second) = self.seen, self.asked, self.full, self.seen.weights
         mean = float(np.mean(second))
-        # What independent normal errors of this sigma would give: the curvature had no robust weights then.
+        # What independent normal errors of this sigma would give: the curvature is then without robust weights.
         formal = seen.variance * mean * np.einsum("ij,ij->j", self.sides, self.solved)
         noise = float(np.mean((first * seen.weighed.seen.residual) ** 2)) * seen.inflated / mean
-        # (C, C) covariance with only what follows the frames in it: rig and lenses
+        # (C, C) covariance with non-zero entries only for rig and lenses, which follow the frames
         start = 6 * len(asked.frame_ids)
         own = slice(start, start + len(asked.rest))
         rest = _Rest(seen.layout, full[own, own], self.tuning.strong_correlation)
@@ -222,11 +227,11 @@ class _Told:
 
 
 class Linearised:
-    """The observations of a model's points, at most so many of them, with what is known beside them.
+    """The linearised observations of at most ``most_points`` of a model's points, with the priors.
 
     ``inflated``: observations over redundancy. ``variance`` of one coordinate, px2. ``weights`` (2O,) of the robust
-    cost's gradient and of its curvature. ``pull`` (C, C): scatter of the gradient by what is known beside the images.
-    Raises ValueError for a model without redundancy.
+    cost's gradient and of its curvature. ``pull`` (C, C): scatter of the gradient of the priors. Raises ValueError
+    for a model without redundancy.
     """
 
     def __init__(
@@ -256,8 +261,8 @@ class Linearised:
 
 
 class _Asked:
-    """What sigmas are wanted of: functions (C, K) of the unknowns. Places and turns of frames, then all that follows
-    the frames, then points."""
+    """The functions (C, K) of the unknowns whose sigmas are wanted: first positions and rotations of frames, then all
+    unknowns that follow the frames, then points."""
 
     def __init__(self, layout: Layout, weighed: EffectWeights, tuning: SigmaTuning) -> None:
         frames = evenly(len(layout.frame_ids), tuning.frames)
@@ -276,7 +281,7 @@ class _Asked:
         self.functions = sparse.hstack([identity, -of_points]).tocsc()
 
     def of_frames(self, full: np.ndarray) -> dict[str, Any]:
-        """Fields of PositionSigma by the covariance (K + 1, K + 1) of functions and scale."""
+        """Fields of PositionSigma from the covariance (K + 1, K + 1) of functions and scale."""
         sigma, m = _root(np.diag(full)), 3 * len(self.frame_ids)
         turns = np.array([full[k : k + 3, k : k + 3] for k in range(m, 2 * m, 3)])
         return {
@@ -287,7 +292,7 @@ class _Asked:
         }
 
     def widened(self, full: np.ndarray, formal: np.ndarray) -> float:
-        """The places' sigmas over those by the variances (K + 1,) that simple errors would give, median."""
+        """Median of the positions' sigmas over those of independent errors, whose variances (K + 1,) are given."""
         m = 3 * len(self.frame_ids)
         place, simple = (np.linalg.norm(_root(v[:m]).reshape(-1, 3), axis=1) for v in (np.diag(full), formal))
         return float(np.median(place / np.maximum(simple, 1e-300)))
@@ -305,18 +310,19 @@ def _root(variance: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Rest:
-    """What follows the frames among the unknowns: rig and lenses, with their covariance (R, R)."""
+    """The unknowns that follow the frames, rig and lenses, with their covariance (R, R)."""
 
     layout: Layout
     covariance: np.ndarray
-    strong: float  # a correlation that is told
+    strong: float  # a correlation from which it is listed
 
     def _at(self, column: int, count: int) -> list[int]:
         start = column - 6 * len(self.layout.frame_ids)
         return list(range(start, start + count))
 
     def interior(self, model: pycolmap.Reconstruction) -> tuple[tuple, ...]:
-        """Each adjusted parameter with its sigma and what it is most correlated with: the lens, the mounting."""
+        """Each adjusted parameter with its sigma and the parameter of lens or mounting with which
+        it correlates most."""
         full = self.covariance
         sigma = np.sqrt(np.clip(np.diag(full), 1e-300, None))
         rows = []

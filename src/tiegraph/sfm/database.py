@@ -1,4 +1,4 @@
-"""What a mapper gets of the database, and what it can make of it."""
+"""The mapper's copy of the database, and the view graph that it holds."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,9 +23,10 @@ def write_working_copy(
     refused: Sequence[tuple[int, int]] = (),
     only: np.ndarray | None = None,
 ) -> None:
-    """The mapper's own copy of the database (``colmaprows.write_working_copy``), the user's file untouched.
+    """Write the mapper's own copy of the database (``colmaprows.write_working_copy``); the user's file stays
+    untouched.
 
-    ``positions``: write the scene's prior positions for the mapper, all but the held-out ones; None: it gets none.
+    ``positions``: write the scene's prior positions for the mapper, all but the held-out ones; None: write none.
     """
     known = None if positions is None else mapper_positions(scene, positions)
     colmaprows.write_working_copy(source, target, scene, with_rig, known, refused, only)
@@ -34,7 +35,7 @@ def write_working_copy(
 def mapper_positions(scene: Scene, tuning: FixTuning) -> tuple[np.ndarray, np.ndarray]:
     """Prior positions (F, 3) of the frames but the held-out ones, NaN = none, and variances (F, 3); world metres.
 
-    COLMAP knows no lever arm: its length widens the sigma instead.
+    COLMAP has no lever arm: its length increases the sigma instead.
     """
     positions = np.where(held_out_frames(scene, tuning)[:, None], np.nan, scene.world_from_rig[:, :3, 3])
     sigma = np.where(np.isfinite(scene.position_sigma_m), scene.position_sigma_m, tuning.unknown_sigma_m)
@@ -44,12 +45,13 @@ def mapper_positions(scene: Scene, tuning: FixTuning) -> tuple[np.ndarray, np.nd
 
 
 class ViewGraph:
-    """What the database holds of each image: key points, verified pairs, and the component it is in."""
+    """The key points and verified pairs of each image in the database, and its connected component."""
 
     def __init__(
         self, database_path: Path, scene: Scene, min_matches: int, refused: Sequence[tuple[int, int]] = ()
     ) -> None:
-        """Read the counts; indices are the scene's, -1 in ``component`` = no verified pair but ``refused`` ones."""
+        """Read the counts. Indices are those of the scene; ``component`` -1 = no verified pair except ``refused``
+        ones."""
         with Rows(database_path) as rows:
             names, features, table = rows.image_names(), rows.feature_counts(), rows.inlier_counts()
         index = {image_id: scene.image_index.get(name, -1) for image_id, name in names.items()}

@@ -1,11 +1,11 @@
-"""What a mapped model still needs, inside a child process: adjustment, rig diagnostics, colours, sigmas, files.
+"""The last steps for a mapped model, in a child process: adjustment, rig diagnostics, colours, sigmas, files.
 
-Rolling shutters: a row is seen ``readout`` x (row / height - 1/2) later than the middle one, whose time the pose is of
-(``motion``). The readout is one number, one more unknown of the normal equations with poses, points and all lenses
-eliminated. Distortion that a lens model leaves out looks alike where a vehicle drives straight on (KITTI, a global
-shutter: 3 ms with a sigma of 0.3), so what is too short for a real shutter or explains next to nothing is not believed.
-What is not seen here: motion faster than the frames of a pass, and images that were turned on their side (rows are then
-columns).
+Rolling shutters: a row is read ``readout`` x (row / height - 1/2) later than the middle row, whose time is that of
+the pose (``motion``). The readout is one more unknown of the normal equations, with poses, points and all lenses
+eliminated. Distortion that a lens model leaves out has the same effect where a vehicle drives straight on (KITTI, a
+global shutter: 3 ms with a sigma of 0.3), so a readout too short for a real shutter, or one that explains next to
+nothing, is not used. Two things are not modelled: motion that changes faster than the frames of a pass, and images
+that were turned on their side (their rows are columns of the sensor).
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -51,7 +51,7 @@ _NAMED = 3  # frames that a sentence names
 
 @dataclass(frozen=True)
 class FinishResult:
-    """What the finishing of a model, or one of its steps, has to say of it."""
+    """Tables, remarks and contradictions of the finishing of a model, or of one of its steps."""
 
     notes: list[str] = field(default_factory=list)
     tables: dict[str, dict] = field(default_factory=dict)
@@ -65,9 +65,9 @@ class FinishResult:
 def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishResult:
     """Finish one mapped model and write it to its target folder.
 
-    Frames whose matches contradict their place are left out, the rest is adjusted robustly and its rigs are tested
-    against the images, of key points without what a rolling shutter did to them where there is one. The matches between
-    cameras are compared with what comes out. Cameras that hardly a match ties are placed by their rig, points get
+    Frames whose matches contradict their place are left out. The rest is adjusted robustly and its rigs are tested
+    against the images; where there is a rolling shutter, its effect is first removed from the key points. The matches
+    between cameras are compared with the result. Cameras with hardly any match are placed by their rig, points get
     colours, and the covariances of the adjustment are estimated.
     """
     scene = Scene.from_json(request.scene)
@@ -99,7 +99,7 @@ def _as_seen(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) ->
 
 
 def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
-    """What the steps say, one after another; the table of frames left out stands behind those of the rigs."""
+    """The results of the steps, in order; the table of frames left out follows those of the rigs."""
     *adjusted, precision = steps
     tables = {name: table for step in adjusted for name, table in step.tables.items()}
     if placement.table is not None:
@@ -118,14 +118,14 @@ def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
 def _without_doubtful(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> tuple[pycolmap.Reconstruction, PlacementCheck]:
-    """The model without the frames whose place is doubtful, and what is to be said of them."""
+    """The model without the frames at doubtful places, and the remarks on them."""
     if request.matched is None:
         return model, PlacementCheck()
     tested = pycolmap.Reconstruction(model)
     try:
         return tested, leave_out_doubtful(tested, scene, request.matched, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return model, PlacementCheck([f"the place of the frames could not be tested: {error}"])
+        return model, PlacementCheck([f"the places of the frames could not be tested: {error}"])
 
 
 def _adjusted(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Checked:
@@ -139,7 +139,7 @@ def _adjusted(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequ
 def _bundle_adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> tuple[pycolmap.Reconstruction, list[str]]:
-    """By the rig's priors, with their sigmas in metres."""
+    """A model scaled to metres by the rig's priors with their sigmas, and notes."""
     if request.held.soft:
         scale = 1 / units_per_metre(model, scene, request.tuning)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
@@ -152,7 +152,8 @@ def _bundle_adjusted(
 def _without_rolling(
     checked: Checked, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> Checked:
-    """The same, or made anew of key points without what a rolling shutter did to them: as given, else if found."""
+    """The same, or a new result from key points corrected for a rolling shutter, whose readout is
+    given or estimated."""
     given, tuning = request.held.readout_ms, request.tuning.shutter
 
     def anew(last: Checked, seconds: float) -> Checked:
@@ -165,28 +166,26 @@ def _without_rolling(
         return _with_found(checked, anew, scene, request)
     if rows_in_time(checked.model, scene, tuning) is None:
         checked.notes.append(
-            f"sparse.readout_ms = {given:g} is not used: that needs frames of a pass with times (--times, video, EXIF) "
-            "and images that are no views of panoramas or fisheye images"
+            f"sparse.readout_ms = {given:g} is not used: it needs frames of a pass with times (--times, video, "
+            "EXIF), and images that are not views of panoramas or fisheye images"
         )
         return checked
     checked = anew(checked, given / 1000)
-    checked.notes.append(
-        f"rolling shutter, {given:g} ms as given: key points are where the middle row's pose sees them"
-    )
+    checked.notes.append(f"rolling shutter, {given:g} ms as given: key points are moved to the time of the middle row")
     return checked
 
 
 def _with_found(
     checked: Checked, anew: Callable[[Checked, float], Checked], scene: Scene, request: FinishRequest
 ) -> Checked:
-    """The same, or ``anew`` with the readout that explains the images best, if they show one."""
+    """The same, or ``anew`` with the readout that explains the images best, if they show a rolling shutter."""
     fixed, tuning = [k + 1 for k in request.held.fixed], request.tuning
     found = find_readout(checked.model, scene, fixed, tuning)
     if found is None or not found.there(tuning.shutter):
         return checked
     checked.notes.append(
-        f"a rolling shutter of {found} would explain the images better, by {100 * found.gain:.1f} % of the robust sum "
-        f"of squares: not used; to use it give --sparse.readout-ms {1000 * found.seconds:.0f}"
+        f"a rolling shutter of {found} would explain the images better, by {100 * found.gain:.1f} % of the robust "
+        f"sum of squares: it is not used; to use it, give --sparse.readout-ms {1000 * found.seconds:.0f}"
     )
     if not found.clear(tuning.shutter):
         return checked
@@ -202,22 +201,23 @@ def _with_found(
         return checked
     last.notes.append(
         f"rolling shutter of {replace(found, seconds=seconds)}, by the motion from frame to frame: key points are "
-        f"where the middle row sees them, and the robust sum of squares fell by {100 * (1 - cost / before):.1f} %"
+        f"moved to the time of the middle row, and the robust sum of squares fell by {100 * (1 - cost / before):.1f} "
+        "%"
     )
     return last
 
 
 def _rig_findings(checked: Checked) -> FinishResult:
-    """What the confrontation of rigs and lenses with the images has to say."""
-    given = {"what was given, and the images": statement_table(checked.statements)} if checked.statements else {}
+    """The results of testing rigs and lenses against the images."""
+    given = {"given values and images compared": statement_table(checked.statements)} if checked.statements else {}
     return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
 
 
 def _matches(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> tuple[FinishResult, dict[int, np.ndarray]]:
-    """How much of the verified matches the model explains as it is in the end, whose contradict their places all the
-    same, and whether those between the cameras of rigs agree; steps to where else frames (COLMAP's ids) could stand."""
+    """How many of the verified matches the final model explains, which frames their matches still contradict, and
+    whether the matches between cameras of rigs agree; and steps to alternative places of frames (COLMAP's ids)."""
     if request.matched is None or request.rough:
         return FinishResult(), {}
     try:
@@ -225,16 +225,16 @@ def _matches(
         other, parts = rivals(found), steps_of_parts(found, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
-    tables, said = {"matches explained, the frames with the least": found.table()}, rivals_told(other, scene)
+    tables, said = {"matches that the model explains: frames with the fewest": found.table()}, rivals_told(other, scene)
     if parts:
         away = float(np.median([np.linalg.norm(step) for step in parts.values()]))
         said.append(
-            f"{len(parts)} frames stand together {away:.3g} units of the model from where their matches with others "
-            f"have them, and their sigmas cover both places ({named(parts.keys(), scene)})"
+            f"{len(parts)} frames are together {away:.3g} model units away from the place that their matches with "
+            f"other frames give; their sigmas cover both places ({named(parts.keys(), scene)})"
         )
     if lost := found.doubts.keys() - other.keys() - parts.keys():
         said.append(
-            f"most matches of {len(lost)} frames contradict their place in the end: they may be off by more than is "
+            f"most matches of {len(lost)} frames contradict their final place: their errors may be larger than "
             f"stated ({named(lost, scene)})"
         )
     if request.held.rigs:
@@ -258,7 +258,7 @@ def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishR
 
 
 def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Mapping[int, np.ndarray]) -> FinishResult:
-    """The sigmas of positions, lenses and mountings; ``steps``: to where else frames could stand."""
+    """The sigmas of positions, lenses and mountings; ``steps``: to alternative places of frames."""
     frames = checked.model.num_reg_frames()
     if frames > request.covariance_frames:
         many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
@@ -274,14 +274,14 @@ def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Ma
 
 
 def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> PositionSigma:
-    """By the covariance of the adjustment, and by what the rigs were found to be off beyond it."""
+    """From the covariance of the adjustment, and from the deviations of the rigs beyond it."""
     model = checked.model
     free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
     rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
     motion = Motion(model, scene, request.tuning.shutter.max_gap_s)
     times = motion, times_open(scene, motion.timed, request.tuning.rig)
     sigma = position_sigma(model, free, rigs, nominal_geometry(model, scene), checked.off, times, tuning=request.tuning)
-    if checked.misfit:  # a rig that is contradicted by so much gives no scale better than that
+    if checked.misfit:  # a rig contradicted by this share gives no better scale
         sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
     return sigma
 
@@ -289,28 +289,29 @@ def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> P
 def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTuning) -> list[str]:
     return [
         f"the lever arm of {names.get(camera, camera)} is "
-        f"{known_to(share, 1.0, f'{100 * share:.0f} % of its length only')}, for hardly a point ties it to the other "
-        "cameras; measured and given in a rig file it would place its images"
+        f"{known_to(share, 1.0, f'{100 * share:.0f} % of its length only')}, because hardly any point ties it to the "
+        "other cameras; a lever arm measured and given in a rig file would place its images"
         for camera, share in sigma.open_mountings(tuning).items()
     ]
 
 
 def _open_places(shape: Shape | None, scene: Scene, tuning: SigmaTuning) -> list[str]:
-    """Frames that hardly anything tells how far off they stand, such as one whose points no two others see."""
+    """Frames that are placed far worse than the others, such as one whose points no two other frames see."""
     if shape is None:
         return []
     size, step = shape.sigma, KDTree(shape.place).query(shape.place, k=2)[0][:, 1]
     rows = np.flatnonzero((size > tuning.open_share * step) & (size > tuning.open_times * np.median(size)))
     each = [f"{scene.frame_names[shape.index[k]]}: {size[k]:.2g}" for k in rows[np.argsort(-size[rows])]]
-    said = f"{len(rows)} frames are placed far worse than the others (sigma {np.median(size):.2g} units of the model)"
-    return [f"{said}: {some(each, _NAMED)}; too few points tie them to two other frames"] if each else []
+    said = f"{len(rows)} frames are placed far worse than the others (sigma {np.median(size):.2g} model units)"
+    return [f"{said}: {some(each, _NAMED)}; too few of their points are seen by two other frames"] if each else []
 
 
 @dataclass(frozen=True)
 class Readout:
-    """Seconds from the first row of an image to the last (negative: from the last), and their sigma; ``gain``: by which
-    share it lowers the robust cost; ``step``: seconds that may be gone at once, for far from its minimum the robust
-    cost is less curved than there; ``gap_s``: between the images whose poses tell the motion, median."""
+    """Seconds from the first row of an image to the last (negative: from the last), and their sigma; ``gain``: the
+    share by which it lowers the robust cost; ``step``: the largest change in seconds in one step, because the robust
+    cost is less curved far from its minimum; ``gap_s``: median time between the images whose poses determine the
+    motion."""
 
     seconds: float
     sigma: float
@@ -319,13 +320,13 @@ class Readout:
     gap_s: float
 
     def there(self, tuning: ShutterTuning) -> bool:
-        """Whether it is a shutter's and not noise or a lens."""
+        """Whether this is a rolling shutter and not noise or lens distortion."""
         least, most = tuning.range_s
         sure = abs(self.seconds) > tuning.sigmas * self.sigma and self.gain > tuning.told_gain
         return sure and least <= abs(self.seconds) <= most
 
     def clear(self, tuning: ShutterTuning) -> bool:
-        """Whether it is used unasked."""
+        """Whether it is clear enough to be used without the user's request."""
         return self.gain > tuning.used_gain and self.gap_s <= tuning.used_gap_s
 
     def __str__(self) -> str:
@@ -334,8 +335,8 @@ class Readout:
 
 
 def rows_in_time(model: pycolmap.Reconstruction, scene: Scene, tuning: ShutterTuning) -> Motion | None:
-    """The ways of a model's images; None where frames have no times, where nothing moves on, and of views, whose rows
-    are not those of the camera."""
+    """The paths of a model's images; None where frames have no times or nothing moves, and for views of panoramas,
+    whose rows are not those of the camera."""
     if any(s.source is not None and s.source.rendered for s in scene.all_sensors):
         return None
     motion = Motion(model, scene, tuning.max_gap_s)
@@ -345,9 +346,9 @@ def rows_in_time(model: pycolmap.Reconstruction, scene: Scene, tuning: ShutterTu
 def find_readout(
     model: pycolmap.Reconstruction, scene: Scene, fixed_rigs: Collection[int], tuning: Tuning
 ) -> Readout | None:
-    """The readout of all cameras of a model by its residuals; None without times, motion or redundancy.
+    """The readout of all cameras of a model from its residuals; None without times, motion or redundancy.
 
-    All lenses are unknowns, calibrated ones too.
+    All lenses are unknowns, including calibrated ones.
     """
     motion = rows_in_time(model, scene, tuning.shutter)
     if motion is None:

@@ -1,4 +1,5 @@
-"""From the verified matches to models: COLMAP's mappers with the rig, in child processes, and what became of images."""
+"""From the verified matches to models: COLMAP's mappers with the rig, in child processes, and an account of all
+images."""
 
 import shutil
 from dataclasses import dataclass, replace
@@ -59,7 +60,7 @@ __all__ = ["Model", "Source", "SparseResult", "reconstruct"]
 
 @dataclass(frozen=True)
 class Model:
-    """One model on disk: which images it holds and how good it is by its own account."""
+    """One model on disk: its images and its quality as the reconstruction itself reports it."""
 
     folder: Path
     found: Registration  # its images: which are registered, which only their rig places
@@ -81,16 +82,16 @@ class Model:
 
 @dataclass(frozen=True)
 class Remarks:
-    """What is said of the models in words."""
+    """The remarks on the models."""
 
     dropped: tuple[tuple[str, str], ...]  # image name, why it is not in the first model
     notes: tuple[str, ...]
-    contradictions: tuple[str, ...]  # of what was given and the images
+    contradictions: tuple[str, ...]  # between given values and the images
 
 
 @dataclass(frozen=True)
 class SparseResult:
-    """The models, most images first, and the account of everything that is not in them."""
+    """The models, most images first, and an account of everything that is not in them."""
 
     models: tuple[Model, ...]
     mapper: str
@@ -101,7 +102,7 @@ class SparseResult:
     tables: dict[str, dict]
     counts: dict[str, float]
     sigma: PositionSigma | None  # of the first model's frames, model units
-    shape: Shape | None  # the same as what may bend it
+    shape: Shape | None  # the same as modes by which the model may be bent
 
     def load(self, model: int = 0) -> pycolmap.Reconstruction:
         """Read a model from disk."""
@@ -119,10 +120,10 @@ def reconstruct(
 ) -> SparseResult:
     """Map the images of a database with verified matches; models go to ``out/0``, ``out/1``, ... by size.
 
-    Cameras that hardly a match ties are left to their rig. Rigs that nobody gave are derived from a model made without
-    them. Then all is mapped, from sections mapped apart where these are asked for, and the models are adjusted to their
-    end and checked. The database is read, never changed. Raises ReconstructionError, with the counts and remedies, when
-    no model can be made; SettingsError for a fixed rig without extrinsics.
+    Cameras with hardly any matches are placed by their rig. The extrinsics of unknown rigs are derived from a model
+    made without them. Then all images are mapped, starting from separately mapped sections if requested, and the
+    models are adjusted and checked. The database is read, never changed. Raises ReconstructionError, with the counts
+    and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
     """
     job = Job(
         rigs=RigsUsed.known(scene, rig_modes(scene, settings.rig)),
@@ -159,29 +160,32 @@ def _view_graph(source: Source, scene: Scene, settings: SparseSettings, tuning: 
 
 
 def _remove_models(out: Path) -> None:
-    """Make the folder, without models of an earlier run."""
+    """Make the folder and remove the models of an earlier run."""
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
 
 
 def _without_unsupported(job: Job) -> Job:
-    """Sensors with too few ties are placed by their rig: the job without their ties, where others are left to map."""
+    """The job without the ties of sensors that have too few of them: their rig places them, if other sensors can be
+    mapped."""
     scene, graph, source = job.scene, job.graph, job.source
     alone = unsupported_sensors(scene, graph, job.rigs.modes, job.tuning.rig.support)
     without = (*source.refused, *ties_of(scene, graph, alone))
     if not alone or len(without) - len(source.refused) >= len(graph.pairs):
         return job
     names = ", ".join(scene.all_sensors[k].name for k in alone)
-    job.account.notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
+    job.account.notes.append(
+        f"{names} has too few ties: it is placed by the rig as given, and its own ties are not used"
+    )
     graph = ViewGraph(source.database, scene, job.settings.min_matches, without)
     rigs = replace(job.rigs, unsupported=alone)
     return replace(job, source=replace(source, refused=without), graph=graph, rigs=rigs)
 
 
 def _with_unknown_rigs(job: Job) -> tuple[Job, Outcome | None]:
-    """The job with the extrinsics of rigs that nobody gave, derived from models made without these; and those models,
-    where none could be derived, for then nothing is to be mapped again (else None)."""
+    """The job with the extrinsics of unknown rigs, derived from models made without these rigs. Where none could be
+    derived, also these models (else None), because nothing needs to be mapped again."""
     unknown = [k for k, mode in job.rigs.modes.items() if mode == "derived"]
     if not unknown:
         return job, None
@@ -208,7 +212,9 @@ def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
 def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
     lost = "; ".join(f"{name}: {why}" for name, why in result.left_out)
     if result.rig is None:
-        return f"rig {rig.name}: its extrinsics could not be found, mapped without rig ({lost})"
+        return (
+            f"rig {rig.name}: its extrinsics could not be determined; the images were mapped without the rig ({lost})"
+        )
     held = [s for s in result.scatter if s.rigid(tuning)]
     worst = max(held, key=lambda s: s.scatter_deg)
     return (
@@ -219,7 +225,7 @@ def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
 
 
 def _finish(job: Job, outcome: Outcome) -> FinishResult:
-    """Adjust, check, colour and write the models to their place; what there is to say of the first."""
+    """Adjust, check, colour and write the models to their folders; returns the findings on the first."""
     out, modes = [], job.rigs.used()
     plain = job.source.rough or not job.tuning.adjust.iterations
     held = Held(
@@ -251,19 +257,21 @@ def _finish(job: Job, outcome: Outcome) -> FinishResult:
 
 
 def _finished(request: FinishRequest, log: Path) -> FinishResult:
-    """Of one model; if that ends its process, of the model as the mapper left it, and what it lacks is said."""
+    """Finish one model; if that ends its process, keep the model as the mapper left it and say what is missing."""
     try:
         return run_in_child(finish_model, request, log=log, task="final adjustment")
     except ChildDied as error:
         plain = replace(request, matched=None, images=None, covariance_frames=0, rough=True)
         found: FinishResult = run_in_child(finish_model, plain, log=log, task="final adjustment")
         died = str(error).splitlines()[0]
-        found.contradictions.append(f"the model stays as mapped, without adjustment, checks, colours, sigmas: {died}")
+        found.contradictions.append(
+            f"the model stays as the mapper made it, without final adjustment, checks, colours and sigmas: {died}"
+        )
         return found
 
 
 def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult:
-    """Say what is in the models and what is not."""
+    """The account of the images in the models and of all others."""
     scene, tuning = job.scene, job.tuning
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
     models = [_model(read_model(f), f, scene, job.shared.registered) for f in folders]
@@ -276,9 +284,10 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
         doubts = rig_doubts(main, scene, held, first.registered, job.graph.components[0], tuning)
         if off := ran_off(main, scene, tuning.mapping.other_focal):
             doubts.append(
-                f"the images make {off}: one of the two is wrong. Straight down over flat ground they hardly tell it, "
-                "and if the given one is right, heights above the ground are wrong by as much. Check these by control "
-                "points, or give a calibration (--camera) and set sparse.refine_intrinsics = no"
+                f"the images make {off}: one of the two is wrong. Images taken straight down over flat ground hardly "
+                "determine the focal length; if the given one is right, heights above the ground are wrong by the "
+                "same factor. Check heights with control points, or give a calibration (--camera) and set "
+                "sparse.refine_intrinsics = no"
             )
         weak = few_points(main, scene, first.found, tuning.registration)
         weakly = weakly_constrained(scene, job.graph, first.found, weak, tuning.registration)
@@ -340,17 +349,18 @@ COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
 
 
 def start_from_sections(job: Job) -> Job:
-    """The job, starting from the poses of its sections where these are to be mapped apart and joined (paper 001).
+    """The job, starting from the poses of its sections if these are to be mapped separately and joined (paper 001).
 
-    The pairs of images that run between sections are held back while these are mapped. Then they join the models
-    (``ties``), which tells how well the borders hold, and the whole starts from the joined poses with all pairs.
+    The pairs of images between sections are not used while these are mapped. Afterwards they join the models
+    (``ties``), which shows how well the borders hold, and the whole survey starts from the joined poses with all
+    pairs.
     """
     scene, source = job.scene, job.source
     if not source.apart:
         return job
     refused = tuple(sorted({*source.refused, *source.apart}))
     graph = ViewGraph(source.database, scene, job.settings.min_matches, refused)
-    account = Account(runs=job.account.runs)  # that a section has no pair with another need not be said
+    account = Account(runs=job.account.runs)  # no remark is needed where a section has no pair with another
     alone = replace(job, source=replace(source, refused=refused, apart=()), graph=graph, account=account)
     models = [read_model(folder) for folder in map_images(alone).folders]
     verified = read_verified(source.database, scene, source.refused)
@@ -359,15 +369,15 @@ def start_from_sections(job: Job) -> Job:
         number, fit, _ = found
         joining.add(number, moved(models[number], fit.first_from_second))
     poses = np.full((len(scene), 4, 4), np.nan)
-    for number in sorted(joining.world, reverse=True):  # where two have an image, the larger model tells
+    for number in sorted(joining.world, reverse=True):  # the larger model decides where two have an image
         own = image_poses(joining.world[number], scene)
         there = np.isfinite(own).all(axis=(1, 2))
         poses[there] = own[there]
     rows = [_row(k, len(m.reg_image_ids()), joining.tests.get(k), k in joining.world) for k, m in enumerate(models)]
-    job.account.tables["sections mapped apart"] = {"columns": COLUMNS, "rows": rows}
+    job.account.tables["sections mapped separately"] = {"columns": COLUMNS, "rows": rows}
     job.account.notes.append(
-        f"{len(models)} sections were mapped apart, {len(joining.world)} of them joined by the matches between them; "
-        "the whole starts from there"
+        f"{len(models)} sections were mapped separately and {len(joining.world)} of them joined by the matches "
+        "between them; the whole survey starts from these poses"
     )
     return replace(job, source=replace(source, apart=(), preview=poses))
 

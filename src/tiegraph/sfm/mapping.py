@@ -1,11 +1,12 @@
-"""Which mapper makes the model, and what is tried when it loses images.
+"""The choice of the mapper, and what is tried when it loses images.
 
-Focal lengths that ran off while a mapper started from nothing. A short base line and a narrow field of view leave focal
-length and depth exchangeable (the bas-relief ambiguity), and the incremental mapper adjusts both with its first two
-images. Forty frames of a hand-held camera of 585 px came out at 1210 px that way: every image had its place, and the
-centres were 43 mm off instead of 17; from these poses no adjustment comes back, nor with the focal length held. A given
-one, of a data sheet or of EXIF, is nearer than that as a rule, but not always (a video is cropped): so the other mapper
-is asked too, both models are adjusted to their end, and the one that explains the images better stays.
+Focal lengths can diverge when a mapper starts from nothing. With a short base and a narrow field of view, focal
+length and depth are interchangeable (the bas-relief ambiguity), and the incremental mapper adjusts both with its
+first two images. Forty frames of a hand-held camera of 585 px ended at 1210 px: every image had its place, but the
+centres were 43 mm off instead of 17, and no adjustment recovers from these poses, not even with the focal length
+held. A given focal length, from a data sheet or EXIF, is usually nearer to the truth, but not always (a video is
+cropped). So the other mapper is run too, both models go through the final adjustment, and the one that explains the
+images better is kept.
 """
 
 from __future__ import annotations
@@ -51,22 +52,22 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Source:
-    """What to map: a database with verified matches, the image folder (None: the points get no colours), pairs (scene
-    indices) not to use; ``rough``: poses good to 0.1 degrees will do, a fifth of the time."""
+    """The input of a mapping: a database with verified matches, the image folder (None: points get no colours), pairs
+    (scene indices) not to use; ``rough``: poses good to 0.1 degrees suffice, which takes a fifth of the time."""
 
     database: Path
     images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
     apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``mapper``)
-    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
+    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in an accepted rough model
     run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images
 
 
 @dataclass(frozen=True)
 class Account:
-    """What the runs of a reconstruction have to say."""
+    """The runs of a reconstruction and the remarks on them."""
 
     runs: list[list] = field(default_factory=list)  # rows of ``RUN_COLUMNS``
     notes: list[str] = field(default_factory=list)
@@ -76,8 +77,8 @@ class Account:
 
 @dataclass(frozen=True)
 class RigsUsed:
-    """Rigs that the mappers are given, by their index in the scene, how each rig of the scene is to be used
-    (``rig_modes``), and keys of sensors that these rigs place as they are given."""
+    """The rigs that the mappers are given, by scene index; how each rig of the scene is to be used (``rig_modes``);
+    and keys of the sensors that these rigs place as they are given."""
 
     given: dict[int, Rig]
     modes: dict[int, str]
@@ -93,7 +94,7 @@ class RigsUsed:
         return {k: self.modes[k] for k in self.given}
 
     def text(self) -> str:
-        """The same in a word, of several joined by +."""
+        """The same as text, several joined by +."""
         return "+".join(sorted(set(self.used().values()))) or "absent"
 
     def held_by_mapper(self, tuning: RigTuning) -> list[int]:
@@ -103,7 +104,7 @@ class RigsUsed:
 
 @dataclass(frozen=True)
 class Job:
-    """All that the runs of one reconstruction share."""
+    """The common input of all runs of one reconstruction."""
 
     source: Source
     out: Path
@@ -119,17 +120,17 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run of a mapper left."""
+    """The result of one run of a mapper."""
 
     mapper: str
     folders: list[Path]
     registered: int  # images of the first model that see its points
-    refused: str = ""  # why there is none
-    died: bool = False  # because its process ended
+    refused: str = ""  # why there is no model
+    died: bool = False  # there is no model because its process ended
 
 
 def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool, tuning: MappingTuning) -> str:
-    """The mapper of the setting, or of the rule behind "auto": global with a rig or from 60 images, else incremental.
+    """The mapper of the setting; for "auto", global with a rig or from 60 images, else incremental.
 
     Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
     in 589 s incremental, whose first adjustments of few images bend an uncertain rig. Below some tens of images the
@@ -143,8 +144,8 @@ def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool, tun
 def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
     """COLMAP ids of the cameras whose intrinsics stay as given: under "auto" the calibrated ones.
 
-    Freed, they run off where a vehicle drives straight on: PandaSet's focal lengths by 8 %, KITTI's principal point by
-    30 px. A focal length from EXIF is no calibration: it comes with a principal point in the very middle.
+    Free intrinsics diverge where a vehicle drives straight on: PandaSet's focal lengths by 8 %, KITTI's principal
+    point by 30 px. A focal length from EXIF is no calibration: its principal point is simply the middle of the image.
     """
     if settings.refine_intrinsics == "yes":
         return ()
@@ -160,8 +161,8 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 
 def map_images(job: Job, label: str = "") -> Outcome:
-    """Start from the coarse model, unless a mapper is asked for; where there is none, or what starts from it does not
-    pass the gate, map, a large survey in blocks.
+    """Start from the coarse model unless a certain mapper is requested. Without a coarse model, or if the result
+    fails the acceptance test, run a mapper; a large survey is mapped in blocks.
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
@@ -172,7 +173,8 @@ def map_images(job: Job, label: str = "") -> Outcome:
         if outcome.folders:
             return _with_others(job, outcome)
         job.account.notes.append(
-            f"the model could not start from the coarse model: {outcome.refused}; mapped from nothing"
+            f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
+            "initial poses"
         )
     if not label and large and asked and not job.source.rough:
         mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
@@ -182,21 +184,25 @@ def map_images(job: Job, label: str = "") -> Outcome:
         outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
         if outcome.folders:
             return _with_others(job, outcome)
-        job.account.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
+        job.account.notes.append(
+            f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
+        )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
-    # A rough model and one without the rig are steps on the way; what they leave out is dealt with at its end.
+    # A rough model and one without the rig are intermediate steps; the images they leave out are dealt with in the
+    # end.
     return outcome if label or job.source.rough else _with_others(job, outcome)
 
 
 def _starting_at(job: Job, poses: np.ndarray) -> Job:
-    """The same, from these poses (N, 4, 4)."""
+    """The same job, starting from these poses (N, 4, 4)."""
     return replace(job, source=replace(job.source, preview=poses))
 
 
 def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
-    """Map again from the poses found where their path is of quite another length than a rig that must not change says.
+    """Map again from the poses found if the length of their path differs clearly from what a fixed rig gives.
 
-    Cameras that look away from each other hardly tell a mapper; PandaSet's coarse model was 16 times too large.
+    Cameras that look away from each other hardly determine this length; PandaSet's coarse model was 16 times too
+    large.
     """
     held = job.rigs.held_by_mapper(job.tuning.rig)
     if not held:
@@ -207,27 +213,29 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     most = job.tuning.mapping.other_length
     if length is None or not np.isfinite(length.scale) or 1 / most < length.scale < most:
         return outcome
-    again = _run(_starting_at(job, poses), "preview", "with its path as long as its rig says")
+    again = _run(_starting_at(job, poses), "preview", "with the path scaled to the rig")
     if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
         job.account.notes.append(
-            f"the model's path should be {length.scale:.3g} times as long for its rig, by {length.by}; made so, fewer "
-            f"images have a place ({again.registered} of {outcome.registered}): left as it is; {again.refused}"
+            f"the path of the model should be {length.scale:.3g} times as long to agree with its rig, by {length.by}; "
+            f"with that length fewer images could be placed ({again.registered} of {outcome.registered}), so it was "
+            f"not changed; {again.refused}"
         )
         return outcome
     return again
 
 
 def _with_others(job: Job, outcome: Outcome) -> Outcome:
-    """Say what nothing ties to the first model: a second survey in the folder, for one.
+    """Report images that nothing ties to the first model, such as a second survey in the folder.
 
-    A start from poses makes one model, so that the rest is mapped now; a mapper has made its models already.
+    A start from poses makes one model only, so the remaining images are mapped now; a mapper has made its other
+    models already.
     """
     first = np.isfinite(image_poses(read_model(outcome.folders[0]), job.scene)).all(axis=(1, 2))
     component = job.graph.component
     rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
     if outcome.mapper == "preview" and len(rest) >= job.tuning.mapping.second_survey:
         mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
-        other = _run(job, mapper, "of what is not tied to it", only=rest)
+        other = _run(job, mapper, "of the images not tied to it", only=rest)
         both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
         outcome = replace(outcome, folders=both)
     there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
@@ -237,23 +245,23 @@ def _with_others(job: Job, outcome: Outcome) -> Outcome:
             names = [job.scene.names[k] for k in np.flatnonzero(own)]
             mapped = np.any(there, axis=0)[own].any()
             job.account.notes.append(
-                f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: another "
-                f"survey, or too little overlap; "
-                f"{'mapped by themselves, see the table of models' if mapped else 'they make no model'}"
+                f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: they "
+                "are another survey, or overlap too little; "
+                f"{'they were mapped separately, see the table of models' if mapped else 'they make no model'}"
             )
     return outcome
 
 
 def _mapped(job: Job, label: str) -> Outcome:
-    """Run the chosen mapper; where its process ends, or under "auto" clearly fewer images come back than could, again
-    with another seed (one start in a dozen on the example fell apart), then the other mapper."""
+    """Run the chosen mapper. If its process ends, or under "auto" clearly fewer images than possible are placed, run
+    it again with another seed (one start in a dozen fell apart on the example), then run the other mapper."""
     first = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
     outcome = _run(job, first, label)
     reachable = job.graph.components[0]
     tuning = job.tuning.mapping
     enough = (tuning.roughly_fewer if job.source.rough else tuning.clearly_fewer) * reachable
     enough, other = enough if job.settings.mapper == "auto" else 0, _OTHER[first]
-    tries = ((first, 1),) if job.source.rough else ((first, 1), (other, 0))  # a rough one is not worth the slow mapper
+    tries = ((first, 1),) if job.source.rough else ((first, 1), (other, 0))  # a rough model needs no slow mapper
     for mapper, seed in tries:
         if not outcome.died and outcome.registered >= enough:
             break
@@ -261,23 +269,22 @@ def _mapped(job: Job, label: str) -> Outcome:
         better = second if second.registered > outcome.registered else outcome
         job.account.notes.append(
             f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
-            f"{mapper} mapping was tried too ({second.registered}): kept {better.mapper}"
+            f"{mapper} mapping was tried too ({second.registered} images): the {better.mapper} model is kept"
         )
         outcome = better
     if not outcome.folders:
-        why = outcome.refused or "the mapper found no two images to start from, or nothing held together"
+        why = outcome.refused or "the mapper found no two images to start from, or its models fell apart"
         error = ChildDied if outcome.died else ReconstructionError
         raise error(no_model_text(job.scene, job.graph, why))
     if job.settings.mapper not in ("auto", outcome.mapper):
-        text = (
-            f"{first} mapping, which was asked for, ended its process: the model was made by {outcome.mapper} mapping"
-        )
+        text = f"{first} mapping was requested, but its process ended: {outcome.mapper} mapping made the model"
         job.account.contradictions.append(text)
     return _near_given_focal_lengths(job, outcome, label)
 
 
 def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
-    """Try the other mapper where a focal length is far from the one given, and keep what explains the images better."""
+    """Try the other mapper if a focal length is far from the given one, and keep the model that explains the images
+    better."""
     if job.settings.mapper != "auto":
         return outcome
     model = read_model(outcome.folders[0])
@@ -295,7 +302,7 @@ def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome
     kept = again if after < before else outcome
     job.account.notes.append(
         f"{outcome.mapper} mapping made {off}; by {again.mapper} mapping the robust sum of squares is "
-        f"{after / before:.2f} times as large: kept {kept.mapper}"
+        f"{after / before:.2f} times as large: the {kept.mapper} model is kept"
     )
     return kept
 
@@ -361,19 +368,20 @@ def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
     return int(np.sum(observations(reconstruction, scene) >= least)), reconstruction.num_points3D()
 
 
-# --- focal lengths that ran off while a mapper started from nothing --------------------------------------------------
+# --- focal lengths that diverged while a mapper started from nothing
+# ---------------------------------------------------
 
 
 def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | None:
-    """A word on the first camera whose focal length is more than ``most`` times longer or shorter than the one given;
-    None: there is none."""
+    """A text on the first camera whose focal length is more than ``most`` times longer or shorter than the given one;
+    None if there is none."""
     for key, sensor in enumerate(scene.all_sensors, start=1):
         given = sensor.camera
         if given is None or not given.has_prior_focal_length or key not in model.cameras:
             continue
         found_px, given_px = model.cameras[key].mean_focal_length(), given.mean_focal_length()
         if not 1 / most < found_px / given_px < most:
-            return f"the focal length of {sensor.name} {found_px:.0f} px, {given_px:.0f} px are given"
+            return f"the focal length of {sensor.name} {found_px:.0f} px, but {given_px:.0f} px are given"
     return None
 
 

@@ -1,4 +1,4 @@
-"""What a model says of the scene's frames: poses, positions held out, tables. Its arrays: ``scene.colmapmodel``."""
+"""The scene's frames in a model: poses, held-out positions, tables. Arrays of a model are in ``scene.colmapmodel``."""
 
 import numpy as np
 
@@ -24,14 +24,14 @@ def rig_from_sensor(scene: Scene, scale: float = 1.0) -> np.ndarray:
 def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float = 1.0) -> np.ndarray:
     """world_from_rig (F, 4, 4) of the scene's frames, model units; NaN = not registered.
 
-    The reference sensor's image gives the pose; where it is not registered, the first registered image with known
-    extrinsics does (``metres_per_unit`` of the model brings the rig's lengths to model units).
+    The pose is that of the reference sensor's image; if that is not registered, it follows from the first registered
+    image with known extrinsics (``metres_per_unit`` of the model converts the rig's lengths to model units).
     """
     rig_from_cam = rig_from_sensor(scene, 1.0 / metres_per_unit)
     usable = np.isfinite(cam_from_world).all(axis=(1, 2)) & np.isfinite(rig_from_cam).all(axis=(1, 2))
     poses = np.full((scene.frames, 4, 4), np.nan)
     order = np.flatnonzero(usable)
-    order = order[np.argsort(-scene.sensor[order].astype(int), kind="stable")]  # the reference is written last
+    order = order[np.argsort(-scene.sensor[order].astype(int), kind="stable")]  # the reference is last and decides
     for k in order:
         poses[scene.frame[k]] = transforms.invert(rig_from_cam[k] @ cam_from_world[k])
     return poses
@@ -40,7 +40,8 @@ def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float
 def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:
     """(F,) bool: every fifth frame with a prior position, in the order of the passes; none when there are few.
 
-    These positions take part in the final alignment only, neither in the mapping nor in the fit they are checked with.
+    These positions are used in the final alignment only, neither in the mapping nor in the fit that is checked with
+    them.
     """
     out = np.zeros(scene.frames, bool)
     has = np.flatnonzero(np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1))
@@ -52,7 +53,7 @@ def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:
 
 
 def registration_tables(scene: Scene, found: Registration) -> dict[str, dict]:
-    """Tables of images, registered images and images that only their rig places, per camera, pass and section."""
+    """Tables of images, registered images and images placed by the rig only, per camera, pass and section."""
     labels = scene.image_label()
     sections = scene.section[scene.frame]
     groups = {

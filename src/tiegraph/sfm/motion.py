@@ -1,10 +1,12 @@
-"""When each image, and each row of it, was seen: the way of every camera, and key points brought to one instant.
+"""The time at which each image and each of its rows was seen: the path of every camera, and key points moved to one
+instant.
 
-A frame has one pose, of one instant. A camera that fires late, and each row of a rolling shutter but the middle one,
-sees from where the way has led by then. That way is a cubic spline through the poses of the camera's own images in a
-pass (velocities of their own for every image let the scene collapse where all are read alike: Albl et al. 2016). So
-lateness costs the bundle adjustment no residual of its own: key points are moved to where the pose of the frame's
-instant sees their points, all is adjusted again, and what is left tells the next step.
+A frame has one pose, of one instant. A camera that fires late, and every row of a rolling shutter except the middle
+one, is at another place of the path by then. The path is a cubic spline through the poses of the camera's own images
+in a pass (a separate velocity for every image lets the scene collapse where all images are read alike: Albl et al.
+2016). So late firing needs no residual of its own in the bundle adjustment: key points are moved to where the pose of
+the frame's instant sees their points, everything is adjusted again, and the remaining residuals determine the next
+step.
 """
 
 from __future__ import annotations
@@ -25,26 +27,26 @@ from tiegraph.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Lateness:
-    """Seconds (frame intervals without times) by which cameras, by COLMAP's id, fire after their frame's instant, and
-    from the first row of an image to the last."""
+    """Delays in seconds (frame intervals if there are no times): from the frame's instant to the firing of each
+    camera, by COLMAP's id, and from the first row of an image to the last."""
 
     cameras: Mapping[int, float]
     readout_s: float = 0.0
 
     def of(self, camera: pycolmap.Camera, row: np.ndarray) -> np.ndarray:
-        """(K,) of pixels with this ``row`` (K,); the middle one is that of the camera's time."""
+        """(K,) delay of pixels with this ``row`` (K,); the middle row has that of the camera."""
         return self.cameras.get(camera.camera_id, 0.0) + self.readout_s * (row / camera.height - 0.5)
 
 
 class Motion:
-    """The ways of a model's images, by their ids; those without a neighbour in their pass have none.
+    """The paths of a model's images by image id; an image without a neighbour in its pass has none.
 
-    ``timed``: by the times of the scene; else by the numbers in a pass, and a second is a frame interval. ``gaps`` (K,)
-    between the images of a way.
+    ``timed``: by the times of the scene; otherwise by the numbers in a pass, and a second is a frame interval.
+    ``gaps`` (K,) between the images of a path.
     """
 
     def __init__(self, model: pycolmap.Reconstruction, scene: Scene, max_gap_s: float) -> None:
-        """``max_gap_s``: between two images with times, beyond which a way ends."""
+        """``max_gap_s``: a path ends where two images with times are farther apart."""
         self.timed = bool(scene.frames and np.isfinite(scene.time_s).all() and np.ptp(scene.time_s) > 0)
         time = (scene.time_s if self.timed else scene.sequence_index.astype(float))[scene.frame]
         ids = {k: image.image_id for k, image in registered_images(model, scene)}
@@ -67,19 +69,20 @@ class Motion:
         return image_id in self._ways
 
     def rate(self, image_id: int) -> np.ndarray:
-        """(6,) velocity, model units a second, and turn, rad a second, along the model's axes; zeros without a way."""
+        """(6,) velocity, model units a second, and rotation rate, rad a second, along the model's axes; zeros without
+        a path."""
         if image_id not in self._ways:
             return np.zeros(6)
         place, turn, at = self._ways[image_id]
         return np.concatenate([place(at, 1), turn(at).apply(turn(at, 1))])  # scipy's rate is along the camera's axes
 
     def seen(self, image_id: int, xyz: np.ndarray, late_s: np.ndarray) -> np.ndarray:
-        """(K, 3) points (K, 3) of the model as the image's camera has them in front of it so much later (K,)."""
+        """(K, 3) points (K, 3) of the model in the frame of the image's camera at these delays (K,)."""
         place, turn, at = self._ways[image_id]
         return np.asarray(turn(at + late_s).apply(xyz - place(at + late_s), inverse=True))
 
     def pose(self, image_id: int, late_s: float) -> np.ndarray:
-        """cam_from_world (4, 4) so much later."""
+        """cam_from_world (4, 4) at this delay."""
         place, turn, at = self._ways[image_id]
         return transforms.invert(transforms.rigid(turn(at + late_s).as_matrix(), place(at + late_s)))
 
@@ -87,10 +90,10 @@ class Motion:
 def at_one_instant(
     mapped: pycolmap.Reconstruction, model: pycolmap.Reconstruction, motion: Motion, late: Lateness
 ) -> pycolmap.Reconstruction:
-    """A copy of ``mapped`` with its key points where the poses of their frames' instants see them.
+    """A copy of ``mapped`` with its key points moved to where the poses of their frames' instants see them.
 
-    Poses, ``motion`` and points are those of ``model``, which was made of it; points that it let go of stand where
-    ``mapped`` has them.
+    Poses, ``motion`` and points are those of ``model``, which was made from ``mapped``; points that ``model`` lost
+    keep the places they have in ``mapped``.
     """
     out = pycolmap.Reconstruction(mapped)
     both = sorted(set(mapped.reg_image_ids()) & set(model.reg_image_ids()))
@@ -114,8 +117,8 @@ def at_one_instant(
 def in_their_time(
     model: pycolmap.Reconstruction, motion: Motion, late: Lateness, scene: Scene
 ) -> pycolmap.Reconstruction:
-    """A copy of a model of key points at one instant with the images of late cameras where they were when they fired:
-    as frames of their own of the same rig, whose ids lie beyond those of the scene."""
+    """A copy of a model adjusted at one instant, with the images of late cameras at the places where they fired: as
+    frames of their own of the same rig, with ids beyond those of the scene."""
     frames = []
     for frame in model.frames.values():
         apart = [d for d in frame.data_ids if d.id in motion and late.cameras.get(d.sensor_id.id)]
@@ -132,7 +135,7 @@ def in_their_time(
 
 
 def let_go(model: pycolmap.Reconstruction, cameras: set[int], scene: Scene) -> pycolmap.Reconstruction:
-    """A copy of a model in which the images of these cameras (COLMAP ids) stand alone, where they stood."""
+    """A copy of a model in which the images of these cameras (COLMAP ids) leave the rig and keep their places."""
     rigs, frames = [_copied(rig, cameras) for rig in model.rigs.values()], []
     for frame in model.frames.values():
         alone = [d for d in frame.data_ids if d.sensor_id.id in cameras]

@@ -1,26 +1,25 @@
-"""The place of every frame, tested before the final adjustment, and what is in doubt placed anew.
+"""The place of every frame is tested before the final adjustment, and doubtful frames are placed again.
 
-A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves, and a
-bad start lets it slide along a straight path. What gives it away are the verified matches that the mapper had to throw
-out: the points that others made of them are not where it sees them (``verified``). A place of whose matches the model
-leaves clearly more than it explains is in doubt, and left out with its reason.
+A repeated wall can hold a frame, a block or a whole pass at a wrong place with ties that agree with each other, and a
+bad start lets a frame slide along a straight path. The verified matches that the mapper had to reject reveal it: the
+points that other frames made of them are not where this frame sees them (``verified``). A frame is in doubt if the
+model rejects clearly more of its matches than it explains; such a frame is left out with its reason.
 
-Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand wrong
-together has most of its ties with the other two, which agree. How a pass goes on says nothing: who numbers photographs
-of a yard makes jumps too. Nor is more told by asking the neighbours on a pass first, by asking for two frames that
-agree or by counting whole pairs by the share that agrees (``slid.py`` in ``benchmarks/sfm/README.md``).
+Frames are tested singly and in the groups that their agreeing ties join: each of three wrongly placed frames has most
+of its ties with the other two, which agree. The continuity of a pass is no evidence: photographs of a yard are
+numbered with jumps. Testing the neighbours on a pass first, asking for two agreeing frames or counting whole pairs by
+the share that agrees finds no more (``slid.py`` in ``benchmarks/sfm/README.md``).
 
-A mapper's model and a start are asked too: a part that stands wrong as a whole is moved by one similarity, single
-frames in doubt, and frames without a place, are placed by their matches with the others (``run``), and only what is in
-doubt still is left out in the end. Of ``seneca`` (167 photographs from a wing) a coarse model had some at a wrong
-place, which drew others after them: 159 stood for 166. A section that slid, or a model that tore, is right within. Its
-matches with the others, of which either side has points of its own, tell how it stands to these. Placed frame by frame
-it would be lost beyond what the others see: of 90 frames of a corridor, torn in the middle, 18 found no place.
+The mapper's model and a start are tested too. A wrongly placed part is moved as a whole by one similarity; single
+doubtful frames, and frames without a place, are placed by their matches with the others (``run``). Only frames still
+in doubt in the end are left out. A coarse model of ``seneca`` (167 photographs from a wing) had some at a wrong
+place, which drew others after them: 159 were placed instead of 166. A section that slid, or a model that tore, is
+right within itself. Its matches with the rest, whose points exist on both sides, determine how the two fit together.
+Placing it frame by frame would lose everything beyond what the rest sees: of 90 frames of a corridor torn in the
+middle, 18 found no place.
 
-Where matches speak for a second place so much that the first does not clearly win, people must hear of both, and the
-sigma of the frame must cover them.
-
-Guided matching and tying images that hang on their rig bought nothing and are gone.
+Where the matches support a second place so strongly that the first does not clearly win, the user must know both, and
+the sigma of the frame must cover them.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -49,22 +48,22 @@ from tiegraph.sfm.verified import (
 )
 from tiegraph.text import some
 
-_NAMED = 4  # frames that a remark names; the table has all
-_LEAST = 5  # frames that a table shows
-_NAMED_RIVALS = 3  # frames that a sentence names
+_NAMED = 4  # frames named in a remark; the table has all
+_LEAST = 5  # frames in a table
+_NAMED_RIVALS = 3  # frames named in a sentence
 
 
 @dataclass(frozen=True)
 class ConsistencyVotes:
-    """Matches between frames that a model explains (``agree``) and that it does not (``against``), as the row's frame
-    tells (F, F)."""
+    """(F, F) matches between frames that a model explains (``agree``) or contradicts (``against``), from the points
+    of the row's frame."""
 
     agree: csr_array
     against: csr_array
 
 
 def consistency_votes(verified: VerifiedMatches, agreed: np.ndarray, scene: Scene) -> ConsistencyVotes:
-    """Sum the image pairs (``verified.agreement``) over pairs of frames."""
+    """Sum the votes of image pairs (``verified.agreement``) over pairs of frames."""
     first, second = scene.frame[verified.pairs].T
     apart = first != second
     at = np.concatenate([first, second]), np.concatenate([second, first])
@@ -78,22 +77,22 @@ def consistency_votes(verified: VerifiedMatches, agreed: np.ndarray, scene: Scen
 def contradiction(
     frames: Collection[int], believed: np.ndarray, votes: ConsistencyVotes, tuning: ConsistencyTuning
 ) -> tuple[float, str]:
-    """By how many matches frames and believed others (F,) bool contradict each other more than they agree, and why that
-    speaks against their place; "" if it does not, or not clearly."""
+    """The excess of contradicting over agreeing matches between frames and trusted others (F,) bool, and the reason
+    why that speaks against their place; "" if it does not, or not clearly."""
     others, own = believed.astype(float), list(frames)
     others[own] = 0
     agree, against = (float((table[own] @ others).sum()) for table in (votes.agree, votes.against))
     doubtful = against >= tuning.min_votes and against > tuning.loses * agree
-    why = f"most of its matches contradict its place ({against:.0f} to {agree:.0f})" if doubtful else ""
+    why = f"most of its matches contradict its place in the model ({against:.0f} to {agree:.0f})" if doubtful else ""
     return against - agree, why
 
 
 def suspect_frames(
     placed: Collection[int], votes: ConsistencyVotes, tuning: ConsistencyTuning
 ) -> dict[tuple[int, ...], str]:
-    """Of the frames that have a place those whose matches contradict it, and why: by themselves, or together with those
-    they are tied to most, which agree among themselves. First those whose matches contradict most, for a pass at a
-    wrong place contradicts every frame of the others too; never the larger half."""
+    """Placed frames whose matches contradict their place, with the reason: singly, or together with the frames they
+    are tied to most. Frames with the most contradictions come first, because a pass at a wrong place makes every
+    other frame contradict too. Never the larger half."""
     believed = np.zeros(votes.agree.shape[0], bool)
     believed[list(placed)] = True
     half = max(1, len(placed) // 2)
@@ -105,14 +104,14 @@ def suspect_frames(
         if not why or not 0 < len(own) <= max(1, int(believed.sum()) // 2):
             continue
         if why := contradiction(own, believed, votes, tuning)[1]:
-            together = f", asked together with the {len(own) - 1} it is tied to most" if len(own) > 1 else ""
+            together = f", tested together with the {len(own) - 1} frames it is tied to most" if len(own) > 1 else ""
             out[tuple(own)] = why + together
             believed[own] = False
     return out
 
 
 def _groups(votes: ConsistencyVotes, placed: np.ndarray, most: int) -> Iterator[list[int]]:
-    """Those that agreeing ties join, up to so many."""
+    """Groups of frames that agreeing ties join, up to this size."""
     strength = triu(votes.agree + votes.agree.T, 1, format="coo")
     strength.eliminate_zeros()
     for group in strongest_first(strength.row, strength.col, strength.data, len(placed)):
@@ -123,20 +122,20 @@ def _groups(votes: ConsistencyVotes, placed: np.ndarray, most: int) -> Iterator[
 
 @dataclass(frozen=True)
 class MatchSource:
-    """Where the verified matches are: the database, and pairs (scene indices) that do not count."""
+    """The database with the verified matches, and pairs (scene indices) that do not count."""
 
     database: Path
     refused: Sequence[tuple[int, int]] = ()
 
     def read(self, scene: Scene) -> VerifiedMatches:
-        """These matches."""
+        """Read the matches."""
         return read_verified(self.database, scene, self.refused)
 
 
 @dataclass(frozen=True)
 class Explained:
-    """Which verified matches a model explains, by pair of images (``agreement``), and why frames stand in doubt:
-    single ones, and ``parts`` that stand wrong together."""
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames are in doubt: single
+    frames, and ``parts`` that are wrong together."""
 
     scene: Scene
     verified: VerifiedMatches
@@ -148,20 +147,20 @@ class Explained:
 
     @property
     def doubts(self) -> dict[int, str]:
-        """By frame."""
+        """Reasons by frame."""
         return {f: why for frames, why in self.parts.items() for f in frames}
 
     def percent(self) -> float:
-        """Of the matches that have an opinion."""
+        """Percentage of the matches with a verdict that the model explains."""
         return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
 
     def of_frames(self) -> np.ndarray:
-        """(F, 2): matches of each frame with others that are explained, and all."""
+        """(F, 2): explained matches of each frame with others, and all of them."""
         agree, against = (np.asarray(table.sum(axis=1)) for table in (self.votes.agree, self.votes.against))
         return np.column_stack([agree, agree + against])
 
     def table(self) -> dict:
-        """The frames of whose matches with other frames the model explains least."""
+        """Table of the frames whose matches with others the model explains least."""
         matches = self.of_frames()
         share = matches[:, 0] / np.maximum(matches[:, 1], 1)
         least = [f for f in np.argsort(share, kind="stable").tolist() if matches[f, 1] > 0][:_LEAST]
@@ -172,7 +171,7 @@ class Explained:
 def explained(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> Explained:
-    """Ask a model for all its verified matches."""
+    """Test a model against all its verified matches."""
     seen = image_observations(model, scene, tuning.agreement)
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene)
@@ -184,7 +183,7 @@ def explained(
 
 @dataclass(frozen=True)
 class PlacementCheck:
-    """What people should know, a table {"columns", "rows"} of the frames left out, and (image, reason) of each."""
+    """Remarks, a table {"columns", "rows"} of the frames left out, and (image, reason) of each."""
 
     notes: list[str] = field(default_factory=list)
     table: dict | None = None
@@ -194,20 +193,23 @@ class PlacementCheck:
 def leave_out_doubtful(
     model: pycolmap.Reconstruction, scene: Scene, source: MatchSource, tuning: PlacementTuning
 ) -> PlacementCheck:
-    """Test the place of every frame and take the doubtful ones out of ``model``.
+    """Test the place of every frame and remove the doubtful ones from ``model``.
 
-    Where more than ``tuning.max_left_out`` of the frames stand in doubt the model fell apart: none is taken out, and it
-    is said.
+    If more than ``tuning.max_left_out`` of the frames are in doubt, the model fell apart: none is removed, and a
+    remark says so.
     """
     why = explained(model, scene, source.read(scene), tuning).doubts
     if not why:
         return PlacementCheck()
     notes: list[str] = []
     if len(why) > tuning.max_left_out * scene.frames:
-        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({named(why, scene)})")
+        notes.append(
+            f"{len(why)} of {scene.frames} frames are at doubtful places; because they are so many, none is left out "
+            f"({named(why, scene)})"
+        )
         return PlacementCheck(notes)
     notes.append(
-        f"{len(why)} of {scene.frames} frames stood at a doubtful place and were left out; see the table of placement"
+        f"{len(why)} of {scene.frames} frames were at a doubtful place and are left out; see the table of placement"
     )
     rows: list[list[str]] = []
     dropped: list[tuple[str, str]] = []
@@ -221,20 +223,21 @@ def leave_out_doubtful(
 
 
 def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
-    """Of a frame of the scene those of COLMAP that are in the model: without a rig one an image."""
+    """The frames of COLMAP in the model that belong to a frame of the scene: without a rig one for each image."""
     names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
     there = [image for name in names if (image := model.find_image_with_name(name)) is not None]
     return sorted({image.frame_id for image in there if image.has_pose})
 
 
 def named(frames: Iterable[int], scene: Scene) -> str:
-    """The first of some frames."""
+    """The names of the first of some frames."""
     return some([scene.frame_names[f] for f in sorted(frames)], _NAMED)
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another place of a frame: the ``step`` (3,) there, model units, and the sightings that agree here and there."""
+    """Another possible place of a frame: the ``step`` (3,) to it, model units, and the observations that agree here
+    and there."""
 
     step: np.ndarray
     here: int
@@ -242,7 +245,7 @@ class Rival:
 
 
 def rivals(found: Explained) -> dict[int, Rival]:
-    """By frame (scene index) those that matches speak for nearly as much as for where it stands, or more."""
+    """By frame (scene index), places that matches support nearly as much as the present one, or more."""
     out, least = {}, found.tuning.agrees
     agree, all_ = found.of_frames().T
     for frame in np.flatnonzero(all_ - agree > least * agree).tolist():
@@ -253,13 +256,13 @@ def rivals(found: Explained) -> dict[int, Rival]:
 
 
 def rivals_told(found: Mapping[int, Rival], scene: Scene) -> list[str]:
-    """A sentence on them, if there are any."""
+    """A sentence on these frames, if there are any."""
     each = [
-        f"{scene.frame_names[f]}: {r.here} matches agree with its place, {r.there} with one "
-        f"{np.linalg.norm(r.step):.3g} units of the model away"
+        f"{scene.frame_names[f]}: {r.here} matches agree with its place, {r.there} with a place "
+        f"{np.linalg.norm(r.step):.3g} model units away"
         for f, r in found.items()
     ]
-    said = f"by their matches {len(found)} frames could stand elsewhere too, and their sigmas cover both places"
+    said = f"the matches of {len(found)} frames support a second place too; their sigmas cover both places"
     return [f"{said} ({some(each, _NAMED_RIVALS)})"] if each else []
 
 
@@ -286,8 +289,9 @@ def _rival(found: Explained, frame: int) -> Rival | None:
 def placed_anew(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> tuple[dict[int, pycolmap.Rigid3d], list[int]]:
-    """Of the frames in doubt, by COLMAP's ids, new poses of those that move, and those that have no place by which to
-    go. None is taken out if these are the larger half (a rig that is wrong): the others are nothing to lean on."""
+    """For the frames in doubt, by COLMAP's ids: new poses of those that move, and frames to be removed because no
+    place is found. None is removed if these are the larger half (a wrong rig), because the rest would be no
+    reference."""
     found = explained(model, scene, verified, tuning)
     moves = part_moves(found, tuning)
     poses = {
@@ -302,8 +306,8 @@ def placed_anew(
 
 
 def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarity]:
-    """By frame (scene index) of parts in doubt the similarity that their matches to the others hold; the part that most
-    do first, and then others onto it."""
+    """By frame (scene index) of parts in doubt, the similarity that agrees with their matches to the rest; the part
+    with the most matches first, then others onto it."""
     placed = {int(found.scene.frame[k]) for k in found.seen.cameras}
     parts = [tuple(placed - found.doubts.keys()), *(part for part in found.parts if len(part) > 1)]
     seen, move = [_alone(found.seen, part) for part in parts], {0: Similarity()}
@@ -321,14 +325,14 @@ def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarit
 
 
 def steps_of_parts(found: Explained, tuning: PlacementTuning) -> dict[int, np.ndarray]:
-    """By frame (scene index) of parts in doubt how far away (3,) their matches to the others have them, model units."""
-    order = sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k]))  # the reference is written last
+    """By frame (scene index) of parts in doubt, the offset (3,) to the place their matches give, model units."""
+    order = sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k]))  # the reference is last and decides
     first = {int(found.scene.frame[k]): transforms.centre(found.seen.cam_from_world[k]) for k in order}
     return {f: move(first[f][None])[0] - first[f] for f, move in part_moves(found, tuning).items()}
 
 
 def _alone(seen: ImageObservations, frames: tuple[int, ...]) -> ImageObservations:
-    """The images of some frames, with the points that no others see."""
+    """The images of some frames, with the points that no other frames see."""
     inside = set(frames)
     own = {k for k in seen.cameras if seen.frame[k] in inside}
     shared = np.zeros(len(seen.xyz) + 1, bool)  # the last: no point

@@ -1,4 +1,4 @@
-"""What a reconstruction lost and why, and the tables and remarks that say so."""
+"""Images that a reconstruction lost, with the reasons, as tables and remarks."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,7 +14,7 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.tuning import RegistrationTuning, Tuning
 from tiegraph.text import some
 
-_NAMED = 5  # frames or groups that a remark names
+_NAMED = 5  # frames or groups named in a remark
 
 
 def unregistered(
@@ -22,8 +22,8 @@ def unregistered(
 ) -> list[tuple[str, str]]:
     """(image name, reason) of each image that is not in the first model.
 
-    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by name, why an
-    image was left out, or what else was tried.
+    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by image name,
+    why an image was left out, or what else was tried.
     """
     main = np.zeros(len(scene), bool)
     main[registered[0]] = True
@@ -48,7 +48,7 @@ def unregistered(
             reason = "in another connected part of the view graph, without a model of its own"
         else:
             reason = (
-                f"{graph.degree[k]} verified pairs, but neither the mapper nor its matches gave it a place that holds"
+                f"{graph.degree[k]} verified pairs, but neither the mapper nor its matches gave it a reliable place"
             )
         tried = f"; {said}" if said and not said.startswith(LEFT_OUT) else ""
         out.append((scene.names[k], reason + tried))
@@ -58,7 +58,7 @@ def unregistered(
 def weakly_constrained(
     scene: Scene, graph: ViewGraph, found: Registration, weak: Sequence[WeaklyTied], tuning: RegistrationTuning
 ) -> list[str]:
-    """What has a place in a model but little to hold it there: a sentence a kind. ``weak``: see ``few_points``."""
+    """Sentences on images that have a place in a model but little evidence for it. ``weak``: see ``few_points``."""
     return [*_by_rig(scene, found), *_on_few_points(scene, weak, tuning.few_points), *_islands(scene, graph, found)]
 
 
@@ -66,7 +66,8 @@ def few_points(
     model: pycolmap.Reconstruction, scene: Scene, found: Registration, tuning: RegistrationTuning
 ) -> tuple[WeaklyTied, ...]:
     """Frames, and groups of frames, that share so few points of a model with all others that the sigma of the others
-    is not theirs. Points that two images see do not count: their rays meet at whatever distance these stand."""
+    does not apply to them. Points seen by two images only do not count: their rays meet at any distance between the
+    images."""
     xyz, image, point = tracks(model, scene)
     several = np.bincount(point, minlength=len(xyz))[point] > 2
     image, point = image[several], point[several]
@@ -80,8 +81,8 @@ def _by_rig(scene: Scene, found: Registration) -> list[str]:
     if not len(only):
         return []
     return [
-        f"{len(only)} images see fewer than {found.min_points} points of the model: they are not registered but stand "
-        f"where their rig or those few points place them ({_named(scene, only)})"
+        f"{len(only)} images see fewer than {found.min_points} points of the model: they are not registered; their "
+        f"rig or those few points place them ({_named(scene, only)})"
     ]
 
 
@@ -91,13 +92,13 @@ def _on_few_points(scene: Scene, weak: Sequence[WeaklyTied], enough: int) -> lis
     count = sum(len(group.frames) for group in weak)
     said = some([f"{named(group, scene.frame_names)}: {group.points}" for group in weak], _NAMED)
     return [
-        f"the place of {count} frame{'s' if count > 1 else ''} rests on fewer than {enough} points seen from elsewhere "
-        f"too ({said}): blurred, or hardly any overlap; the images may be off by more than is stated"
+        f"the place of {count} frame{'s' if count > 1 else ''} rests on fewer than {enough} points that other frames "
+        f"see ({said}): the images are blurred or hardly overlap, and their errors may be larger than stated"
     ]
 
 
 def _islands(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
-    """Images of one camera and pass that verified pairs tie to each other only: of another place, or behind a gap."""
+    """Images of one camera and pass that verified pairs tie only to each other: from another place, or behind a gap."""
     out = []
     size = np.bincount(graph.component[graph.component >= 0], minlength=1)
     several = np.array([len(r.sensors) > 1 for r in scene.rigs])[scene.rig[scene.frame]]
@@ -110,8 +111,8 @@ def _islands(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
             images = np.flatnonzero(own & (graph.component == label))
             out.append(
                 f"{len(images)} images ({_named(scene, images)}) share no verified pair with the rest of their "
-                "camera's pass, nor with another camera: the rig alone holds them, nothing else tells that they belong "
-                "there"
+                "camera's pass, nor with another camera: only the rig places them, and no match confirms that they "
+                "belong there"
             )
     return out
 
@@ -121,7 +122,7 @@ def _named(scene: Scene, images: np.ndarray) -> str:
 
 
 def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
-    """Counts and remedies for a reconstruction that came to nothing."""
+    """Counts and remedies for a reconstruction that gave no model."""
     with_features = int(np.sum(graph.features > 0))
     components = graph.components
     return (
@@ -134,7 +135,7 @@ def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
 
 
 def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> list[str]:
-    """Remarks on adjusted cameras that no real lens has: the model is bent there."""
+    """Remarks on cameras whose adjusted parameters are impossible for a lens: the model is bent there."""
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
     notes = []
     for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
@@ -147,27 +148,29 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene, tuning: 
         label = names.get(camera_id, str(camera_id))
         if not tuning.adjust.focal_range[0] <= ratio <= tuning.adjust.focal_range[1]:
             notes.append(
-                f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; do "
-                f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = no"
+                f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; "
+                "do not trust the model around it; give the calibration and set sparse.refine_intrinsics = no"
             )
         if off > tuning.registration.max_centre_off:
-            notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")
+            notes.append(
+                f"camera {label}: the principal point is {off:.0%} of the image size away from the middle of the image"
+            )
     return notes
 
 
 def rig_doubts(
     reconstruction: pycolmap.Reconstruction, scene: Scene, held: Sequence[int], placed: int, tied: int, tuning: Tuning
 ) -> list[str]:
-    """What contradicts rigs (scene indices) whose extrinsics were held as given: the images seem to say otherwise.
+    """Contradictions between the images and rigs (scene indices) whose extrinsics were held as given.
 
-    Extrinsics that contradict the images leave most of these without a place (``placed`` of ``tied``), or, where the
-    lens is free, turn up as a principal point that no lens has: both move a camera's picture as a whole.
+    Extrinsics that contradict the images leave most of these without a place (``placed`` of ``tied``). Where the lens
+    is free, they appear as an impossible principal point instead: both shift the image of a camera as a whole.
     """
     notes, remedy = [], "check order, axes and angles in the rig file, or set sparse.rig = refined or absent"
     names = ", ".join(scene.rigs[k].name for k in held)
     if held and placed < tuning.mapping.clearly_fewer * tied:
         notes.append(
-            f"rig {names} was held as given, and only {placed} of {tied} images that are tied found a place: the given "
+            f"rig {names} was held as given, and only {placed} of {tied} images with ties could be placed: the given "
             f"extrinsics may contradict the images; {remedy}"
         )
     for index, (first, rig) in enumerate(scene.keyed_rigs):
@@ -175,14 +178,14 @@ def rig_doubts(
             turned = _turned_deg(reconstruction.cameras, key, sensor.camera) if index in held else 0.0
             if turned > tuning.registration.max_turned_deg:
                 notes.append(
-                    f"camera {sensor.name}: its principal point moved by as much as a turn of {turned:.1f} deg, in rig "
-                    f"{rig.name}, which was held as given: its extrinsics may contradict the images; {remedy}"
+                    f"camera {sensor.name}: its principal point moved by as much as a rotation of {turned:.1f} deg, "
+                    f"while rig {rig.name} was held as given: the extrinsics may contradict the images; {remedy}"
                 )
     return notes
 
 
 def _turned_deg(cameras: Any, key: int, given: pycolmap.Camera | None) -> float:
-    """The angle by which the principal point of a model's camera lies off the given one, else off the middle."""
+    """The angle of a camera's principal point from the given one, or from the middle if none is given."""
     if key not in cameras:
         return 0.0
     camera = cameras[key]

@@ -1,4 +1,5 @@
-"""The rigs and calibrations of an adjusted model against the images: what contradicts them gives way, or is said."""
+"""Tests of rigs and calibrations of an adjusted model against the images: contradicted values are adjusted or
+reported."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,12 +26,12 @@ from tiegraph.sfm.tuning import Tuning
 
 @dataclass(frozen=True)
 class Held:
-    """How rigs (scene indices) and cameras (COLMAP ids) are held by what was given."""
+    """How rigs (scene indices) and cameras (COLMAP ids) are held by given values."""
 
     rigs: tuple[int, ...] = ()  # that the model was made with
     fixed: tuple[int, ...] = ()  # rigs whose extrinsics stay
     soft: tuple[int, ...] = ()  # rigs whose extrinsics are known with a sigma
-    ordered: tuple[int, ...] = ()  # rigs that the user wants as given, whatever the images say
+    ordered: tuple[int, ...] = ()  # rigs that the user wants as given, whatever the images show
     unsupported: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
     cameras: tuple[int, ...] = ()  # whose calibration stays
     lenses_ordered: bool = False  # by the user
@@ -39,7 +40,7 @@ class Held:
 
 @dataclass(frozen=True)
 class FinishRequest:
-    """What the finishing of one model needs, in picklable form."""
+    """The input of finishing one model, in picklable form."""
 
     folder: Path
     target: Path
@@ -54,21 +55,21 @@ class FinishRequest:
 
 @dataclass
 class Checked:
-    """A model whose rigs were confronted with the images, and what came out."""
+    """A model whose rigs were tested against the images, and the findings."""
 
     model: pycolmap.Reconstruction
     tables: dict[str, dict] = field(default_factory=dict)
     off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings (``misplaced``)
     contradictions: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
-    late: dict[int, float] = field(default_factory=dict)  # camera id -> when it fires, of those that fire apart
+    late: dict[int, float] = field(default_factory=dict)  # camera id -> delay of those that fire at another time
     notes: list[str] = field(default_factory=list)
     misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
 
 
 @dataclass(frozen=True)
 class _Rig:
-    """Rig ``index`` of the scene, and what is asked of it."""
+    """Rig ``index`` of the scene with the data of its tests."""
 
     scene: Scene
     index: int
@@ -91,13 +92,13 @@ class _Rig:
         return self.fixed or self.index in self.request.held.soft
 
     def prior_test(self, model: pycolmap.Reconstruction, metres_per_unit: float, wide: float = 1.0) -> PriorTest | None:
-        """What the images of a model want otherwise of it; ``wide``: as of ``adjusted``."""
+        """The given values that the images of a model contradict; ``wide``: as in ``adjusted``."""
         return prior_test(model, self.scene, self.index, metres_per_unit, _wider(self.request.tuning, wide))
 
     def lost(self, model: pycolmap.Reconstruction, changed: pycolmap.Reconstruction) -> tuple[int, ...]:
-        """Images that lose their place in the changed model, if that holds fewer images in all.
+        """Images that lose their place in the changed model, if that has fewer images in total.
 
-        What counts is an image that sees points enough: on the rig another would keep its place.
+        An image counts if it sees enough points; without them it would still have a place from the rig.
         """
         least = self.request.tuning.adjust.min_points
         before, after = (
@@ -109,35 +110,36 @@ class _Rig:
     def adjusted(
         self, model: pycolmap.Reconstruction, doubted: Sequence[int] = (), wide: float = 1.0
     ) -> pycolmap.Reconstruction:
-        """A model adjusted by all that is given of its rigs and lenses; ``wide``: times the error that an observation
-        may have."""
+        """A model adjusted with all given values of its rigs and lenses; ``wide``: factor on the tolerance for the
+        errors of observations."""
         held, tuning = self.request.held, _wider(self.request.tuning, wide)
         known = rig_priors(model, self.scene, held.soft, tuning.rig.priors)
         fixed = [k + 1 for k in held.fixed]
         return final_adjustment(model, fixed, held.cameras, known, doubted, tuning=tuning.adjust).model
 
     def nearly(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-        """The same of a model that is nearly there."""
+        """The same for a model that is nearly adjusted."""
         held, tuning = self.request.held, self.request.tuning
         known = rig_priors(model, self.scene, held.soft, tuning.rig.priors)
         return adjusted_to(model, [k + 1 for k in held.fixed], held.cameras, known, tuning=tuning.adjust)
 
 
 def _wider(tuning: Tuning, wide: float) -> Tuning:
-    """For a model that is still far from where its images want it: observations may be off by so many times more."""
+    """For a model that is still far from its images: the tolerance for errors of observations is larger by this
+    factor."""
     if wide == 1:
         return tuning
     own = tuning.adjust
     more = {"robust_px": wide * own.robust_px, "filter_px": wide * own.filter_px, "robust_rounds": 1}
-    more["tolerance"] = 100 * own.tolerance  # it goes on from there
+    more["tolerance"] = 100 * own.tolerance  # another adjustment follows
     return tuning.model_copy(update={"adjust": own.model_copy(update=more)})
 
 
 def checked_rig(
     model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
 ) -> Checked:
-    """The model once rigs and calibrations were confronted with the images. What these contradict gives way, unless it
-    was ordered to stay: said so."""
+    """The model after rigs and calibrations were tested against the images. Contradicted values are adjusted, or
+    reported only if the user wants them held."""
     out = Checked(model)
     if not request.rough:
         _confront_single_lenses(out, scene, request)
@@ -165,7 +167,7 @@ def checked_rig(
 
 
 def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
-    """The calibrations of single cameras that were held."""
+    """Test the held calibrations of single cameras."""
     for index, (first, rig) in enumerate(scene.keyed_rigs):
         held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
         try:
@@ -178,16 +180,16 @@ def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) 
 
 
 def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> PriorTest:
-    """The model with each camera of a rig at its own time, into ``out``, and what the images want otherwise then; as it
-    was where that was ordered, or fewer images would have a place."""
+    """The model with each camera of a rig at its own time, into ``out``, and the contradictions that remain;
+    unchanged if the user wants that, or if fewer images would have a place."""
     scene, held, tuning = rig.scene, rig.request.held, rig.request.tuning
     first = scene.first_sensor(rig.index) + 1
-    said = f"rig {rig.name}: its cameras do not fire at one instant"
+    said = f"rig {rig.name}: its cameras fire at different times"
     if rig.ordered:
-        told = "ordered to stay as given (sparse.rig = fixed), and does"
+        told = "it was held as requested (sparse.rig = fixed)"
         out.contradictions.append(f"{said}; it was {told}: {_times_text(rig, test, test.times_s())}")
         return test
-    # What a calibrated rig's lenses do beyond their model must not hide in its times.
+    # Lens errors of a calibrated rig must not be absorbed by its times.
     doubted = held.cameras if rig.measured and not held.lenses_ordered else ()
     model, last, wide, near = out.model, test, tuning.rig.late_wide, False
     late = {k: (0.0, 0.0) for k in test.times_alone_s()}
@@ -208,7 +210,7 @@ def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: 
             if near:
                 break
             wide = 1.0
-    turned = _refined(mapped, rig, test)  # a camera mounted otherwise may look late
+    turned = _refined(mapped, rig, test)  # a camera mounted differently may look late
     left = [mapped.compute_num_observations() - m.compute_num_observations() for m in (turned or mapped, model)]
     if turned is not None and left[0] < tuning.mapping.clearly_fewer * left[1]:
         return test
@@ -221,7 +223,7 @@ def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: 
 
 
 def _times_text(rig: _Rig, test: PriorTest, times: Mapping[int, tuple[float, float]]) -> str:
-    """When cameras (by their place in the rig) fire against the first, with sigmas."""
+    """Delays of cameras (by their index in the rig) relative to the first, with sigmas."""
     factor, unit = (1000.0, "ms") if test.system.timed else (100.0, "% of the frame interval")
     sensors = rig.scene.rigs[rig.index].sensors
     each = [
@@ -233,7 +235,7 @@ def _times_text(rig: _Rig, test: PriorTest, times: Mapping[int, tuple[float, flo
 
 
 def _let_go_of_loose(out: Checked, scene: Scene, request: FinishRequest, found: RigDiagnostics) -> None:
-    """Cameras that do not keep their place in a rig leave it, unless fewer images would have a place then."""
+    """Cameras that are not rigid in a rig leave it, unless fewer images would have a place then."""
     out.notes += found.notes(scene)
     loose = [k for k in found.loose if scene.sensor[scene.sensor_key == k].any()]  # all but references
     rigs = {int(scene.rig[scene.frame[scene.sensor_key == k][0]]) for k in loose}
@@ -242,31 +244,29 @@ def _let_go_of_loose(out: Checked, scene: Scene, request: FinishRequest, found: 
     rig = _Rig(scene, min(rigs), request)
     names = ", ".join(scene.all_sensors[k].name for k in loose)
     if rigs & set(request.held.ordered):
-        out.contradictions.append(
-            f"{names} stay in the rig as ordered (sparse.rig = fixed), and do not keep their place"
-        )
+        out.contradictions.append(f"{names} stay in the rig as requested (sparse.rig = fixed), but are not rigid in it")
         return
     free = rig.adjusted(let_go(out.model, {k + 1 for k in loose}, scene))
     if lost := rig.lost(out.model, free):
         out.contradictions.append(_lost_note(scene, rig.index, lost, found.notes(scene)))
         return
     out.model = free
-    out.notes.append(f"{names}: not held by the rig any more, for the images of each stand elsewhere from shot to shot")
+    out.notes.append(f"{names}: released from the rig, because their places in it differ from shot to shot")
 
 
 def _confront(out: Checked, rig: _Rig, test: PriorTest, follow: bool = True) -> None:
-    """Say where the file of a rig contradicts the images; a turned or shifted camera of a held one is adjusted,
-    unless images would lose their place by it."""
+    """Report where the images contradict the file of a rig; a contradicted mounting of a held rig is adjusted, unless
+    images would lose their place by it."""
     refined = _refined(out.model, rig, test) if follow else None
-    # The test in a refined model, where the rest is no longer bent and the sigmas are better; else as it was
+    # The test in a refined model, where the rest is no longer bent and the sigmas are better; else the first test
     again = None if refined is None else rig.prior_test(refined, test.system.metres_per_unit)
     last = again if again is not None and _mounts_freed(again) else test
     said = statements(last, rig.scene, rig.index, refined)
     followed = _followed(out.model, rig, refined) if said.contradictions else None
     if rig.ordered:
-        how = "; held as given all the same (sparse.rig = fixed)"
+        how = "; they are held as given nevertheless (sparse.rig = fixed)"
     else:
-        how = "" if followed is None else "; the images were followed, the other cameras held as given"
+        how = "" if followed is None else "; these cameras were adjusted by the images, the others are held as given"
     _say(out, said, how)
     if followed is not None:
         out.model = followed
@@ -275,7 +275,7 @@ def _confront(out: Checked, rig: _Rig, test: PriorTest, follow: bool = True) -> 
 
 
 def _refined(model: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> pycolmap.Reconstruction | None:
-    """The model with the cameras that the images want elsewhere adjusted; None where none is, or none may be."""
+    """The model with the contradicted mountings adjusted; None if there are none, or none may be adjusted."""
     held = rig.request.held
     if not (_mounts_freed(test) and rig.fixed):
         return None
@@ -290,21 +290,21 @@ def _mounts_freed(test: PriorTest) -> bool:
 def _followed(
     model: pycolmap.Reconstruction, rig: _Rig, refined: pycolmap.Reconstruction | None
 ) -> pycolmap.Reconstruction | None:
-    """The refined model, if it is to be taken."""
+    """The refined model, if it is to be used."""
     if rig.ordered or refined is None or rig.lost(model, refined):
         return None
     return refined
 
 
 def _say(out: Checked, said: RigEvidence, how: str) -> None:
-    """Statements and contradictions into what is handed on; ``how`` the contradictions were dealt with."""
+    """Add statements and contradictions to the findings; ``how``: what was done about the contradictions."""
     out.statements += said.statements
     out.misfit = max(out.misfit, said.misfit)
     out.contradictions += [f"{line}{how}" for line in said.contradictions]
 
 
 def _say_off(out: Checked, rig: _Rig, test: PriorTest, followed: bool) -> None:
-    """How far off the mountings of a contradicted rig may be."""
+    """Record how far the mountings of a contradicted rig may be off."""
     count, first = len(rig.scene.rigs[rig.index].sensors), rig.scene.first_sensor(rig.index)
     if count > 1:
         cameras = range(first + 1, first + count)
@@ -315,6 +315,6 @@ def _say_off(out: Checked, rig: _Rig, test: PriorTest, followed: bool) -> None:
 def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
     names = ", ".join(scene.names[k] for k in lost[:3]) + (" ..." if len(lost) > 3 else "")
     return (
-        f"rig {scene.rigs[index].name} stays as given all the same: else fewer images would have a place by points; "
-        f"{len(lost)} would lose theirs ({names}); the images contradict it: {'; '.join(why)}"
+        f"rig {scene.rigs[index].name} stays as given although the images contradict it, because fewer images would "
+        f"be registered otherwise: {len(lost)} would be lost ({names}). The contradictions: {'; '.join(why)}"
     )

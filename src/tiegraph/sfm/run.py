@@ -1,10 +1,10 @@
 """One run of a COLMAP mapper, inside a child process: working copy of the database, mapping, models to disk.
 
-From roughly known poses (``start``) a model is made by three rounds of adjustment that free more each time: poses; then
-rig, focal length and distortion; then principal points. After the first two, frames that had no pose, or stand where
-their matches say they do not, are placed by these. The rounds take few points (``adjustment.fewpoints``); all are
-triangulated anew from what they found. The acceptance test (``refusal``) asks for tied images that see points, verified
-pairs that agree with the model, and plausible lenses.
+From approximate poses (``start``) a model is made by three rounds of adjustment that free more unknowns each time:
+poses; then rig, focal length and distortion; then principal points. After the first two rounds, frames without a
+pose, or with a place that their matches contradict, are placed by their matches. The rounds use few points
+(``adjustment.fewpoints``) and triangulate all points again from the new poses. The acceptance test (``refusal``)
+requires that tied images see points, that verified pairs agree with the model, and that lenses are plausible.
 """
 
 import shutil
@@ -29,15 +29,15 @@ from tiegraph.sfm.start import Start, largest_component, place_frames, start_fro
 from tiegraph.sfm.tuning import FewPointsTuning, Tuning
 from tiegraph.sfm.verified import VerifiedMatches, image_observations, rays_meet, read_verified
 
-# What is adjusted beside poses and points: at first nothing, because lens and rig would soak up what is wrong with the
-# poses; then both; then principal points too, because the final adjustment alone does not get there: after it canal's
-# frames are 12 mm off with these held so long, else as the mapper's.
+# Unknowns beside poses and points: none at first, because lens and rig would absorb the errors of the poses; then
+# both; then principal points too, because the final adjustment alone does not find them: with principal points held
+# in all rounds canal's frames are 12 mm off after it, otherwise they are as good as the mapper's.
 STEPS = ("poses", "lens", "centre")
 
 Options = pycolmap.IncrementalPipelineOptions
 Anew = Callable[[pycolmap.Reconstruction], tuple[Mapping[int, pycolmap.Rigid3d], Collection[int]]]
-"""Of the frames of a model whose verified matches contradict their place, by COLMAP's ids, new poses of those that
-move, and those that are taken out."""
+"""For the frames of a model whose verified matches contradict their place, by COLMAP's ids: new poses of those that
+move, and those that are removed."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +51,18 @@ class Method:
 
 @dataclass(frozen=True)
 class Matches:
-    """What a mapper sees of the verified matches."""
+    """The verified matches that a mapper is given."""
 
     database: Path
-    least: int  # of a pair
+    least: int  # smallest number of a pair
     refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs it must not see
     only: np.ndarray | None = None  # scene indices of the images to map, None = all
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """What must not move: rig indices by their extrinsics, COLMAP ids of cameras whose calibration is believed."""
+    """What must not move: rigs (indices) with fixed extrinsics, and cameras (COLMAP ids) whose calibration is
+    trusted."""
 
     rigs: tuple[int, ...] = ()
     cameras: tuple[int, ...] = ()
@@ -70,7 +71,7 @@ class Fixed:
 
 @dataclass(frozen=True)
 class Request:
-    """What one run needs, in picklable form."""
+    """The input of one run, in picklable form."""
 
     method: Method
     matches: Matches
@@ -135,7 +136,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
 def _from_poses(
     request: Request, working: Path, scene: Scene, rigs: dict[int, Rig], send: Callable[[Any], None]
 ) -> MappingResult:
-    """One model from the poses that are roughly known, if it passes the gate."""
+    """One model from approximate poses, if it passes the acceptance test."""
     assert request.poses is not None
     seen = request.matches
     verified = read_verified(seen.database, scene, seen.refused)
@@ -143,10 +144,12 @@ def _from_poses(
     poses = np.where(piece[:, None, None], request.poses, np.nan)
     placed = np.isfinite(poses).all(axis=(1, 2))
     if placed.sum() < request.tuning.start.min_share * piece.sum():
-        return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
+        return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} connected images")
     start = start_from(poses, scene, rigs, request.fixed.rigs, verified, request.tuning.start)
     if start is None:
-        return MappingResult([], refused="neither matches nor positions tell the length of its path against the rig")
+        return MappingResult(
+            [], refused=("neither matches nor positions determine the length of its path relative to the rig")
+        )
     write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
     anew = _anew(request, scene, verified)
     model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send, anew)
@@ -161,18 +164,19 @@ def _from_poses(
 
 
 def _anew(request: Request, scene: Scene, verified: VerifiedMatches) -> Anew:
-    """What asks a model for its doubtful frames."""
+    """A function that finds the doubtful frames of a model."""
     return lambda model: placed_anew(model, scene, verified, request.tuning.placement)
 
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
-    """``free``: intrinsics and extrinsics are adjusted, where the request lets them."""
+    """``free``: intrinsics and extrinsics are adjusted where the request allows it."""
     lens = free and not request.fixed.all_cameras
-    tolerance = request.tuning.start.staged.tolerance  # COLMAP has 0: it would iterate on at points that go anyway
+    tolerance = request.tuning.start.staged.tolerance  # COLMAP's 0 would iterate on at points that are removed later
     return pycolmap.IncrementalPipelineOptions(
         ba_local_function_tolerance=tolerance,
         ba_global_function_tolerance=tolerance,
-        # COLMAP places no image by one whose distortion is above 1. That is half a pixel of k2 before a narrow lens.
+        # COLMAP registers no image by a camera with a distortion above 1. That is half a pixel of k2 for a narrow
+        # lens.
         max_extra_param=float("inf"),
         random_seed=request.method.seed,
         num_threads=THREADS,
@@ -180,7 +184,7 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
         min_num_matches=request.matches.least,
         min_model_size=request.tuning.mapping.min_model_images,
         extract_colors=False,
-        # An image by its matches alone: minutes for a rough model of previews that hold together nowhere.
+        # Placing an image by its matches alone takes minutes for a rough model of weakly connected previews.
         structure_less_registration_fallback=not request.method.rough,
         ba_refine_focal_length=lens,
         ba_refine_extra_params=lens,
@@ -189,7 +193,7 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
         constant_rigs={k + 1 for k in request.fixed.rigs},
         use_prior_position=request.positions,
         use_robust_loss_on_prior_position=True,
-        # As many as make a pair: COLMAP's 30 leaves out photographs that a few sound ties hold.
+        # As many as a pair needs: COLMAP's 30 leaves out photographs that a few sound ties hold.
         mapper=pycolmap.IncrementalMapperOptions(abs_pose_min_num_inliers=request.matches.least),
     )
 
@@ -228,7 +232,7 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
         mapper=mapper,
     )
     level = pycolmap.logging.minloglevel
-    if request.images is None:  # it would warn of each image that it cannot colour points by: a hundred lines and more
+    if request.images is None:  # it would warn of each image without colours: a hundred lines and more
         pycolmap.logging.minloglevel = 2
     try:
         return pycolmap.global_mapping(working, request.images or raw, raw, options)
@@ -248,7 +252,8 @@ def model_from(
     """Triangulate the verified matches of the mapper's ``database`` from the poses of ``start``, and adjust.
 
     ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose, and
-    those in doubt (``anew``), are placed by their matches after an adjustment. ``send`` is told how many are placed.
+    doubtful frames (``anew``), are placed by their matches after an adjustment. ``send`` receives the number of
+    placed images.
     """
     cache = read_cache(database, options(False).min_num_matches)
     model = pycolmap.Reconstruction()
@@ -295,7 +300,7 @@ def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning,
 
 
 def _triangulate(mapper: pycolmap.IncrementalMapper, options: Options) -> None:
-    """All points anew, from the poses as they are."""
+    """Triangulate all points again from the present poses."""
     for point_id in list(mapper.reconstruction.point3D_ids()):
         mapper.observation_manager.delete_point3D(point_id)
     for image_id in sorted(mapper.reconstruction.reg_image_ids()):
@@ -304,13 +309,13 @@ def _triangulate(mapper: pycolmap.IncrementalMapper, options: Options) -> None:
 
 
 def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
-    """Leave the points that tell most."""
+    """Keep the most informative points."""
     for point_id in points_that_can_wait(mapper.reconstruction, tuning):
         mapper.observation_manager.delete_point3D(point_id)
 
 
 def place_anew(model: pycolmap.Reconstruction, database: Path, options: Options, tuning: Tuning, anew: Anew) -> None:
-    """Place the frames of a mapper's model that are in doubt by their matches, and those that have no place yet."""
+    """Place the doubtful frames of a mapper's model by their matches, and those without a place."""
     moved, out = anew(model)
     if not moved and not out:
         return
@@ -332,12 +337,12 @@ def _place(mapper: pycolmap.IncrementalMapper, moved: Mapping[int, pycolmap.Rigi
 
 
 def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:
-    """Frames without a pose, by the points that their matches belong to."""
+    """Register frames without a pose by the points of their matches."""
     for _ in range(rounds):
         placed = 0
         for image_id in mapper.find_next_images(options.get_mapper(), structure_less=False):
             if mapper.reconstruction.image(image_id).has_pose:
-                continue  # with another image of its frame
+                continue  # registered with another image of its frame
             if mapper.register_next_image(options.get_mapper(), image_id):
                 frame = mapper.reconstruction.frame(mapper.reconstruction.image(image_id).frame_id)
                 for k in frame.image_ids:
@@ -350,18 +355,21 @@ def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int)
 def refusal(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, piece: np.ndarray, tuning: Tuning
 ) -> str:
-    """Why the model of a ``piece`` (N,) bool of the images is not good enough; "" if it is."""
+    """Why the model of a connected ``piece`` (N,) bool of the images is not good enough; "" if it is."""
     gate = tuning.start.staged
     own = {k + 1: s.camera for k, s in enumerate(scene.all_sensors) if s.camera is not None}
     lens = impossible_camera(own, model.cameras, set(own) & set(model.cameras), tuning.adjust)
     if lens is not None:
-        return f"no lens is like what became of camera {scene.all_sensors[lens - 1].name}"
+        return f"the adjusted intrinsics of camera {scene.all_sensors[lens - 1].name} are impossible for a lens"
     degree = np.bincount(verified.pairs.ravel(), minlength=len(scene))
     tied = piece & (degree >= gate.tied_pairs)
     seeing = observations(model, scene) >= tuning.adjust.min_points
     share = float(np.mean(seeing[tied])) if tied.any() else 0.0
     if share < gate.min_seeing:
-        return f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} of its points"
+        return (
+            f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} or more of its "
+            "points"
+        )
     agreed = rays_meet(verified, image_observations(model, scene, tuning.placement.agreement))
     judged = agreed[:, 1] > 0
     good = agreed[judged, 0] >= tuning.placement.consistency.agrees * agreed[judged, 1]

@@ -12,29 +12,31 @@ class SparseSettings(Section):
     """How the images become a model: poses, points and cameras (COLMAP)."""
 
     mapper: Literal["auto", "incremental", "global"] = "auto"
-    """Mapper: incremental, global (GLOMAP); auto = start from the coarse model; without one, by rig and size."""
+    """Mapper: incremental, global (GLOMAP); auto = start from the coarse model, or choose by rig and number of
+    images."""
 
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
     """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = fixed if calibrated."""
 
     seed: int = Field(default=0, ge=0, le=2**31 - 10)
-    """Of the mapper's random choices: another seed gives another of the models that the same matches allow."""
+    """Seed of the mapper's random choices: another seed gives another of the models that the same matches allow."""
 
     use_positions: bool = True
-    """Let GNSS, EXIF or trajectory positions hold the incremental mapper; every fifth is kept back as a check."""
+    """Use GNSS, EXIF or trajectory positions in the incremental mapper; every fifth is kept back as a check."""
 
     refine_intrinsics: Literal["auto", "yes", "no"] = "auto"
-    """Adjust focal length, principal point, distortion with the model; auto = yes but for calibrated cameras."""
+    """Adjust focal length, principal point and distortion; auto = yes, except for calibrated cameras."""
 
     readout_ms: float | None = Field(default=None, ge=-200, le=200)
-    """Milliseconds from the first row of an image to the last (rolling shutter; negative: from the last to the first),
-    0 = all at once; default: estimated where frames have times. Of all cameras."""
+    """Rolling shutter of all cameras: milliseconds from the first row of an image to the last (negative: from the
+    last to the first); 0 = none; default: estimated where frames have times."""
 
     min_matches: int = Field(default=15, ge=4, le=1000)
     """Pairs with fewer verified matches are not used."""
 
     covariance_frames: int = Field(default=3000, ge=0, le=50000)
-    """Largest model, in frames, whose sigmas are computed from the bundle adjustment (0 = never): time and memory."""
+    """Largest model, in frames, for which sigmas are computed from the bundle adjustment (0 = never): time and
+    memory."""
 
 
 class GeorefSettings(Section):

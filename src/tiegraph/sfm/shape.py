@@ -1,4 +1,4 @@
-"""The shape of a survey: by how much the adjustment of its images may bend it, and what lies between two frames."""
+"""The shape of a survey: how far it may be bent, given its images, and the uncertainty between two frames."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from tiegraph.sfm.covariance import PositionSigma
 
 SHAPE = "shape.npz"  # of the largest model, in the folder of models
 _STEPS = 2  # rows for each doubling of the distance
-_MODES = 60  # at most: what is left is noise from frame to frame
-_EXPLAINED = 0.99999  # of the variance, by the modes: positions of 2 cm bend a corridor that is known to metres
+_MODES = 60  # at most: the rest is noise from frame to frame
+_EXPLAINED = 0.99999  # share of the variance in the modes: positions of 2 cm bend a corridor known to metres
 
 
 @dataclass(frozen=True)
 class Shape:
-    """How N frames of a model may be off, after the best similarity of them all: the large eigenvectors of their
+    """The errors of N frames of a model after the best similarity of all of them: the large eigenvectors of their
     covariance, times their sigmas, and the variance of the rest, from frame to frame.
 
-    ``index`` (N,) the scene's frames, ascending; ``place`` (N, 3); ``modes`` (M, N, 3) of unit variance each; ``rest``
-    (N, 3); lengths in units of the model, along its axes. ``turn`` (3, 3) rad squared: covariance
-    of how the frames may be turned against their places, of a usual one.
+    ``index`` (N,) the scene's frames, ascending; ``place`` (N, 3); ``modes`` (M, N, 3) of unit variance each;
+    ``rest`` (N, 3); lengths in model units, along its axes. ``turn`` (3, 3) rad squared: covariance of the rotation
+    of a typical frame relative to the frames' positions.
     """
 
     index: np.ndarray
@@ -36,15 +36,15 @@ class Shape:
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
-        """By the covariance of an adjustment; None without one, and where it is as large as the whole: what is linear
-        about the places then tells nothing."""
+        """From the covariance of an adjustment; None without one, and if it is as large as the whole model, because
+        the linearisation about the positions is then invalid."""
         if sigma.covariance is None:
             return None
         number = {name: k for k, name in enumerate(scene.names)}
         frames = [model.frame(k) for k in sigma.frame_ids]
         first = [min(number[model.image(d.id).name] for d in f.image_ids if model.exists_image(d.id)) for f in frames]
         rows = np.lexsort((scene.sensor[first], scene.frame[first]))
-        rows = rows[np.unique(scene.frame[first][rows], return_index=True)[1]]  # of cameras that fire apart the first
+        rows = rows[np.unique(scene.frame[first][rows], return_index=True)[1]]  # the first of cameras with own times
         at = (3 * rows[:, None] + np.arange(3)).ravel()
         place = np.array([_centre(frames[k]) for k in rows])
         shape = Shape._of(scene.frame[first][rows], place, sigma.covariance[np.ix_(at, at)])
@@ -66,7 +66,7 @@ class Shape:
 
     @property
     def sigma(self) -> np.ndarray:
-        """(N,) of the frames' places, root sums of squares."""
+        """(N,) root sums of squares of the frames' position sigmas."""
         return np.asarray(np.sqrt(np.sum(self.modes**2, axis=(0, 2)) + self.rest.sum(axis=1)))
 
     def sizes(self) -> dict[str, float]:
@@ -74,40 +74,40 @@ class Shape:
         return {"median": float(np.median(self.sigma)), "p90": float(np.percentile(self.sigma, 90))}
 
     def at(self, frames: np.ndarray) -> np.ndarray:
-        """(K, 3, M) the modes at frames (K,) of the scene, between those that are known."""
+        """(K, 3, M) the modes at frames (K,) of the scene, interpolated between known frames."""
         flat = self.modes.transpose(2, 0, 1).reshape(-1, len(self.index))
         known = np.stack([np.interp(frames, self.index, row) for row in flat], axis=1)
         return known.reshape(len(frames), 3, -1)
 
     def step(self, frames: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 3) by which coefficients (M,) of the modes move frames (K,) of the scene, and sigmas (K, 3) of what the
-        modes leave of it."""
+        """(K, 3) movement of frames (K,) of the scene by coefficients (M,) of the modes, and sigmas (K, 3) of the
+        part that the modes do not represent."""
         modes = self.at(frames)
         rest = np.stack([np.interp(frames, self.index, row) for row in self.rest.T], axis=1)
         return modes @ coefficients, np.sqrt(rest + (1 - _EXPLAINED) * np.sum(modes**2, axis=2))
 
     def coefficients(self, moved: np.ndarray) -> np.ndarray:
-        """(M,) of the modes by which the frames of the scene were ``moved`` (F, 3)."""
+        """(M,) coefficients of the modes for a movement ``moved`` (F, 3) of the frames of the scene."""
         flat, there = self.modes.reshape(len(self.modes), -1), np.nan_to_num(moved[self.index])
         return np.asarray(np.linalg.lstsq(flat.T, there.ravel(), rcond=None)[0])
 
     def moved(self, similarity: Similarity) -> Shape:
-        """The same in the world."""
+        """The same in the world frame."""
         turn = similarity.scale * similarity.rotation
         modes, rest = self.modes @ turn.T, self.rest @ (turn**2).T
         own = similarity.rotation @ self.turn @ similarity.rotation.T
         return replace(self, place=similarity(self.place), modes=modes, rest=rest, turn=own)
 
     def told(self, left: np.ndarray, covariance: np.ndarray) -> Shape:
-        """The same once something has told the coefficients of the modes to this covariance (M, M); what the frames
-        should have been moved by and were not, ``left`` (M,), counts."""
+        """The same after other observations determined the coefficients of the modes with this covariance (M, M); the
+        movement that they asked for and that was not made, ``left`` (M,), is added."""
         values, vectors = np.linalg.eigh(covariance + np.outer(left, left))
         roots = vectors * np.sqrt(np.clip(values, 0, None))
         return replace(self, modes=np.einsum("kj,kni->jni", roots, self.modes))
 
     def between(self, min_pairs: int) -> list[tuple[float, float, int]]:
-        """By distance: how far apart, the sigma of the vector between two frames (root mean square over pairs), how
-        many; of at least ``min_pairs`` pairs. The sigma of the scale is not in it."""
+        """By distance: distance, sigma of the vector between two frames (root mean square over pairs), number of
+        pairs; only with at least ``min_pairs`` pairs. The sigma of the scale is not included."""
         flat = np.moveaxis(self.modes, 1, 0).reshape(len(self.index), -1)
         variance = pdist(flat, "sqeuclidean")
         own = self.rest.sum(axis=1)
@@ -124,6 +124,6 @@ class Shape:
 
 
 def _centre(frame: pycolmap.Frame) -> np.ndarray:
-    """(3,) place of a frame in the world."""
+    """(3,) position of a frame in the world."""
     pose = frame.rig_from_world
     return np.full(3, np.nan) if pose is None else np.asarray(pose.inverse().translation, float)

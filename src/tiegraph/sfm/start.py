@@ -1,20 +1,21 @@
-"""A model started from poses that are roughly known, instead of mapped from nothing: what it needs of them.
+"""A model started from approximate poses instead of mapped from nothing: the preparation of the poses.
 
-The start takes the poses of the coarse model; the rigs are brought to their units, and the full-resolution matches are
-triangulated from them and adjusted in rounds (``run``).
+The start takes the poses of the coarse model, converts the rigs to their units, triangulates the full-resolution
+matches from them and adjusts in rounds (``run``).
 
-Before that, the length of the path is checked against a rig that must not change (``path_scale``): the matches tell it,
-else the positions, else the start is refused. The same test follows every mapper. A model made of few ties can have
-both right but for their ratio: cameras that look away from each other hardly tell a mapper that length (PandaSet's
-previews: wrong by factors of 16 to 40 000, which no error shows and no adjustment corrects). The scale is one number,
-and every match between frames votes for it: by the angle of its ray to the other's epipolar plane, as a function of the
-scale. What is too long or too short by a quarter is mapped again from its own poses with the length corrected.
+Before that, the length of the path is compared with a rig that must not change (``path_scale``): the matches
+determine it, else the positions; if neither does, the start is refused. The same test follows every mapper. In a
+model made of few ties both can be right except for their ratio: cameras that look away from each other hardly
+determine it (PandaSet's previews: wrong by factors of 16 to 40 000, which no residual shows and no adjustment
+corrects). The scale is one number, and every match between frames votes for it: by the angle of its ray to the other
+ray's epipolar plane, as a function of the scale. If the path is too long or too short by a quarter, it is mapped
+again from its own poses with the length corrected.
 
-In the end a model to start from that somebody gave is asked whether it agrees with the one that the images made
-(``check_start``): it may be bent, turned in one half, or of another survey. What of it agrees is found by its largest
-part: the turn between the two worlds that most images share, then the similarity of their places. An image disagrees
-that is turned against that part by more than the tuning allows, or stands off by more than a share of the distance to
-what it sees. World and unit of both are free, so that a model that is only of another size agrees.
+Finally, a start model given by the user is compared with the model that the images gave (``check_start``): it may be
+bent, rotated in one half, or of another survey. The reference is its largest consistent part: the rotation between
+the two worlds that most images share, then the similarity of their positions. An image disagrees if it is rotated
+relative to that part by more than the tuning allows, or is off by more than a share of the distance to the surface it
+sees. World and unit of both models are free, so a model of another size agrees.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -37,14 +38,14 @@ from tiegraph.sfm.tuning import StartCheckTuning
 from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches
 
-ONE_CENTRE = 1e-6  # metres: shorter baselines are none
-_SAMPLE = 300  # images whose turns are tried: bounds the time
-_NAMED = 3  # images that a sentence names
+ONE_CENTRE = 1e-6  # metres: shorter baselines count as zero
+_SAMPLE = 300  # images whose rotations are tried: bounds the time
+_NAMED = 3  # images named in a sentence
 
 
 @dataclass(frozen=True)
 class PathScale:
-    """``scale`` that the path needs (1 = as it is; NaN = nothing tells), and what tells it."""
+    """``scale`` that the path needs (1 = none; NaN = not determined), and the source that determines it."""
 
     scale: float
     by: str
@@ -53,8 +54,8 @@ class PathScale:
 def path_scale(
     scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: VerifiedMatches, tuning: ScaleTuning
 ) -> PathScale:
-    """Scale of the path of the frames (F, 4, 4) for rigs whose extrinsics (N, 4, 4), one an image, stay: by the matches
-    if they tell it, else by the prior positions, else unknown."""
+    """Scale of the path of the frames (F, 4, 4) for rigs with held extrinsics (N, 4, 4), one for each image: from the
+    matches if they determine it, else from the prior positions, else unknown."""
     rays = _rays(scene, cam_from_rig, world_from_rig, verified, tuning.matches_a_pair)
     told = (_by_matches(rays, cap_rad, tuning) for cap_rad in tuning.caps_rad) if rays is not None else ()
     for scale in told:
@@ -68,8 +69,8 @@ def path_scale(
 
 @dataclass(frozen=True)
 class _Rays:
-    """Matches (M): rays a, b of both images in the world, their cross product, the way between the frames as the model
-    has it, and between their cameras within the rigs."""
+    """Matches (M): rays a, b of both images in the world, their cross product, the vector between the frames in the
+    model, and that between their cameras within the rigs."""
 
     a: np.ndarray
     normal: np.ndarray
@@ -85,7 +86,7 @@ class _Rays:
 def _rays(
     scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: VerifiedMatches, most: int
 ) -> _Rays | None:
-    """``most``: matches of a pair of images that vote."""
+    """``most``: number of matches of a pair of images that vote."""
     rng = np.random.default_rng(0)
     known = np.all(np.isfinite(cam_from_rig) & np.isfinite(world_from_rig[scene.frame]), axis=(1, 2))
     centre = transforms.centre(cam_from_rig)
@@ -125,10 +126,10 @@ def _by_matches(rays: _Rays, cap_rad: float, tuning: ScaleTuning) -> float | Non
 
 
 def _by_positions(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> float | None:
-    """Scale that the positions ask for, 1 where they bear the length of the path out; None: both lie within the noise.
+    """Scale from the positions, 1 where they confirm the length of the path; None if both are within the noise.
 
-    Its sigma is that of one long distance, for a receiver's errors go together. A vehicle that hardly moves has no
-    distance beyond the noise, and a path of a hundred times its length is refuted all the same.
+    Its sigma is that of one long distance, because the errors of a receiver are correlated. A vehicle that hardly
+    moves has no distance above the noise, but a path a hundred times as long is still refuted.
     """
     position = scene.world_from_rig[:, :3, 3]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
@@ -151,10 +152,11 @@ def _by_positions(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> floa
 
 @dataclass(frozen=True)
 class Start:
-    """Roughly known poses, made fit for a mapper.
+    """Approximate poses, prepared for a mapper.
 
-    ``rigs`` by index: those that may change have their extrinsics from the poses, those that must not have their own;
-    ``world_from_rig`` (F, 4, 4) and ``cam_from_world`` (N, 4, 4), for images without a rig, in one unit; NaN = unknown.
+    ``rigs`` by index: rigs that may change have extrinsics from the poses, rigs that must not change have their own;
+    ``world_from_rig`` (F, 4, 4) and ``cam_from_world`` (N, 4, 4), for images without a rig, in one unit; NaN =
+    unknown.
     """
 
     rigs: dict[int, Rig]
@@ -173,7 +175,8 @@ def start_from(
 ) -> Start | None:
     """A start from poses (N, 4, 4) of the images, NaN = unknown; ``held``: indices of rigs whose extrinsics stay.
 
-    None if the length of the path against a held rig is not known: the poses may come from a model that did not see it.
+    None if the length of the path relative to a held rig is unknown: the poses may come from a model that did not use
+    the rig.
     """
     most = tuning.max_lever_off
     fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world, most) for k, rig in rigs.items()}
@@ -187,7 +190,7 @@ def start_from(
     frames[:, :3, 3] *= found.scale
     images = cam_from_world.copy()
     images[:, :3, 3] *= found.scale
-    note = f"its path made {found.scale:.3g} times as long, by {found.by}"
+    note = f"its path was scaled by {found.scale:.3g}, by {found.by}"
     return Start(
         rigs=fitted,
         world_from_rig=frames,
@@ -199,8 +202,8 @@ def start_from(
 def length_of_path(
     world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: ScaleTuning
 ) -> PathScale | None:
-    """What the path of frames (F, 4, 4) needs to be as long as the rigs (indices ``held``) that must not change say;
-    None where there is nothing to compare it with: panoramas, loose photographs."""
+    """The scale that the path of frames (F, 4, 4) needs to agree with the rigs (indices ``held``) that must not
+    change; None where nothing can be compared: panoramas, loose photographs."""
     cam_from_rig = transforms.invert(rig_from_sensor(scene))
     if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
         return None
@@ -208,8 +211,8 @@ def length_of_path(
 
 
 def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
-    """(N,) bool: images of the piece with most known poses that verified pairs (P, 2) and rigs hold together. What
-    nothing ties to it would stay where a rough model had it, untested, and drift."""
+    """(N,) bool: images of the component with most known poses, connected by verified pairs (P, 2) and rigs. Images
+    outside it would stay where a rough model had them, untested, and drift."""
     bound = np.isin(scene.rig[scene.frame], list(rigs))
     node = np.where(bound, scene.frame, scene.frames + np.arange(len(scene)))
     label = parts(node[pairs[:, 0]], node[pairs[:, 1]], scene.frames + len(scene))[node]
@@ -219,10 +222,10 @@ def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection
 
 
 def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
-    """The rig with the extrinsics that the poses show, averaged over the frames; a sensor that no frame shows beside
-    the reference keeps its own, in the units of the others.
+    """The rig with the extrinsics of the poses, averaged over the frames; a sensor that no frame shows together with
+    the reference keeps its own extrinsics, in the units of the others.
 
-    ``max_lever_off``: share of a given lever arm that the poses may show it off; more, and it stays as given.
+    ``max_lever_off``: largest relative deviation of the poses from a given lever arm; beyond it the given one stays.
     """
     of = scene.rig[scene.frame] == index
     known = of & np.isfinite(cam_from_world).all(axis=(1, 2))
@@ -253,13 +256,14 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray,
 
 
 def _ran_off(found: np.ndarray, given: np.ndarray, units: float, most: float) -> bool:
-    """Whether a lever arm is unlike the given one: a camera with few ties (canal's up camera, three times too long)."""
+    """Whether a lever arm differs too much from the given one: a camera with few ties (canal's up camera, three times
+    too long)."""
     length = units * float(np.linalg.norm(given[:3, 3]))
     return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > most * length
 
 
 def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> int:
-    """Set and register the frames of a model without poses; how many images that places."""
+    """Set and register the frames of a model without poses; returns the number of images placed."""
     first = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
     for frame_id, frame in list(model.frames.items()):
         names = [model.image(d.id).name for d in frame.image_ids]
@@ -283,8 +287,9 @@ def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> 
 
 @dataclass(frozen=True)
 class StartCheck:
-    """Of N images: which have both poses, ``turned_deg`` (N,) against the part that agrees, ``off`` (N,) distance from
-    where that part puts them over the distance to what is seen (NaN = not told), ``bad`` (N,) those that disagree."""
+    """For N images: which have both poses, ``turned_deg`` (N,) relative to the consistent part, ``off`` (N,) distance
+    from the place that this part predicts over the distance to the surface (NaN = unknown), ``bad`` (N,) images that
+    disagree."""
 
     both: np.ndarray
     turned_deg: np.ndarray
@@ -293,13 +298,13 @@ class StartCheck:
 
     @property
     def share(self) -> float:
-        """Of the images with both poses, those that disagree."""
+        """The share of images that disagree, among those with both poses."""
         return float(self.bad.sum()) / max(int(self.both.sum()), 1)
 
 
 def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: StartCheckTuning) -> StartCheck:
-    """Poses ``given`` (N, 4, 4) against those of a model ``made`` (N, 4, 4), world_from_camera, NaN = none; ``reach``:
-    usual distance of the model's cameras to what they see, its units."""
+    """Poses ``given`` (N, 4, 4) compared with those of a model ``made`` (N, 4, 4), world_from_camera, NaN = none;
+    ``reach``: typical distance of the model's cameras to the surface, model units."""
     both = np.all(np.isfinite(given[:, :3]) & np.isfinite(made[:, :3]), axis=(1, 2))
     rows = np.flatnonzero(both)
     turned, off = np.full(len(given), np.nan), np.full(len(given), np.nan)
@@ -313,7 +318,7 @@ def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: Start
     alike = rows[turned[rows] <= tuning.turn_deg]
     if len(alike) >= tuning.least:
         places = given[alike, :3, 3], made[alike, :3, 3]
-        fit, _ = robust_umeyama(*places, sigma=tuning.off / 3 * reach)  # which takes three sigmas
+        fit, _ = robust_umeyama(*places, sigma=tuning.off / 3 * reach)  # its limit is three sigmas
         off[rows] = np.linalg.norm(fit(given[rows, :3, 3]) - made[rows, :3, 3], axis=1) / reach
     bad = both & ~((turned <= tuning.turn_deg) & (off <= tuning.off))
     return StartCheck(both=both, turned_deg=turned, off=off, bad=bad)
@@ -327,7 +332,7 @@ def start_told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tup
     good = found.both & ~found.bad
     agree = (
         f"{good.sum()} of {count} images agree with it, to {np.median(found.turned_deg[good]):.2g} deg and "
-        f"{np.median(found.off[good]):.2g} of the distance to what is seen (median)"
+        f"{np.median(found.off[good]):.2g} of the distance to the surface (median)"
         if good.any()
         else f"none of {count} images agrees with it"
     )
@@ -336,10 +341,11 @@ def start_told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tup
     names = ", ".join(scene.names[k] for k in bad[:_NAMED]) + (" ..." if len(bad) > _NAMED else "")
     turned, off = np.median(found.turned_deg[bad]), found.off[found.bad & np.isfinite(found.off)]
     where = f" and {np.median(off):.2g} of that distance off" if len(off) else ""
-    text = f"{len(bad)} images do not: turned against the others by {turned:.2g} deg{where} (median), such as {names}"
-    why = (
-        "is it of another survey, or are images named otherwise?" if found.share > tuning.most else "is it bent there?"
+    text = (
+        f"{len(bad)} images do not: they are rotated relative to the others by {turned:.2g} deg{where} (median), such "
+        f"as {names}"
     )
+    why = "is it of another survey, or are names different?" if found.share > tuning.most else "is it bent there?"
     contradicts = found.share > tuning.share
-    ending = f"; its poses chose pairs only: {why}" if contradicts else ""
+    ending = f"; its poses were used only to choose pairs: {why}" if contradicts else ""
     return f"start model and images: {agree}; {text}{ending}", contradicts

@@ -1,9 +1,10 @@
-"""The similarity between two models of one survey, from the verified matches that run between their images.
+"""The similarity between two models of one survey, from the verified matches between their images.
 
-A match counts if its key point has a point in both models. From the first model's camera the second's point must then
-lie in the direction of the first's, and the other way round: angles, whose errors are those of key points, while the
-depth of a point is known far worse. RANSAC over triples of points finds the similarity, least squares over the angles
-refines it. What is held out proves it: fitted to every other pair of images, it must explain the matches of the rest.
+A match counts if its key point has a point in both models. Seen from the first model's camera, the second model's
+point must lie in the direction of the first model's point, and vice versa. Directions are used because their errors
+are those of key points, while the depth of a point is far less accurate. RANSAC over triples of points finds the
+similarity, least squares over the angles refines it. Held-out data confirm it: fitted to every other pair of images,
+it must explain the matches of the rest.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from tiegraph.sfm.tuning import PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, image_observations
 
 TEST_COLUMNS = [
-    "matches that agree", "of", "image pairs", "of these independent", "held-out matches that agree %", "halves differ",
+    "matches that agree", "of", "image pairs", "independent of these", "held-out matches that agree %", "halves differ",
     "halves differ deg",
 ]  # fmt: skip
 """Heads of ``TieTest.cells``; lengths in the first model's units."""
@@ -43,7 +44,7 @@ class Ties:
         return len(self.images)
 
     def where(self, rows: np.ndarray) -> Ties:
-        """Some of them (boolean or index array)."""
+        """A subset (boolean or index array)."""
         return Ties(self.images[rows], self.xyz[:, rows], self.centre[:, rows])
 
     def moved(self, first: Similarity) -> Ties:
@@ -52,14 +53,14 @@ class Ties:
         return Ties(self.images, xyz, centre)
 
     def angles(self, first_from_second: Similarity) -> np.ndarray:
-        """(K, 6) sines between what either camera sees of its own point and of the other model's."""
+        """(K, 6) sines of the angles between each camera's own point and the other model's point."""
         moved, back = first_from_second(self.xyz[1]), first_from_second(self.centre[1])
         a = np.cross(_unit(self.xyz[0] - self.centre[0]), _unit(moved - self.centre[0]))
         b = np.cross(_unit(moved - back), _unit(self.xyz[0] - back))
         return np.concatenate([a, b], axis=1)
 
     def agree(self, first_from_second: Similarity, tolerance_rad: float) -> np.ndarray:
-        """(K,) bool: both cameras see the two points in one direction, and before them."""
+        """(K,) bool: both cameras see the two points in the same direction and in front of them."""
         moved, back = first_from_second(self.xyz[1]), first_from_second(self.centre[1])
         ahead = np.sum((self.xyz[0] - self.centre[0]) * (moved - self.centre[0]), axis=1) > 0
         ahead &= np.sum((moved - back) * (self.xyz[0] - back), axis=1) > 0
@@ -79,9 +80,9 @@ class TieFit:
 
 @dataclass(frozen=True)
 class TieTest:
-    """What holds a fit: ``ties`` that agree of ``total``, over ``pairs`` of images of which ``independent`` share none;
-    ``explained``: of the ties that a fit to the other pairs of images did not know, the share that agrees with it;
-    ``jump`` (first model's units) and ``turn_deg`` between the fits of the two halves, in the middle of the ties."""
+    """The evidence for a fit: ``ties`` that agree of ``total``, over ``pairs`` of images, of which ``independent``
+    share no image; ``explained``: share of held-out ties that agree with a fit to the other pairs of images; ``jump``
+    (first model's units) and ``turn_deg`` between the fits of the two halves, in the middle of the ties."""
 
     ties: int
     total: int
@@ -92,13 +93,13 @@ class TieTest:
     turn_deg: float
 
     def cells(self) -> list:
-        """What a table shows of it (``TEST_COLUMNS``)."""
+        """Its row of a table (``TEST_COLUMNS``)."""
         jump = round(self.jump, 4) if np.isfinite(self.jump) else None
         share, turn = round(100 * self.explained), round(self.turn_deg, 3)
         return [self.ties, self.total, self.pairs, self.independent, share, jump, turn]
 
     def holds(self, tuning: PlacementTuning) -> bool:
-        """Whether it is more than chance, in what it knew and in what it did not."""
+        """Whether it is beyond chance, in the fitted and in the held-out ties."""
         asked = tuning.ties
         enough = self.ties >= asked.least and self.independent >= asked.independent
         return enough and min(self.ties / self.total, self.explained) >= asked.share
@@ -132,7 +133,7 @@ def find_ties(
 
 
 def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
-    """The similarity that most ties agree with; None if there are too few or none comes out."""
+    """The similarity with most agreeing ties; None if there are too few ties or no solution."""
     asked, tolerance_rad = tuning.ties, tuning.agreement.tolerance_rad
     if not asked.trials or len(ties) < asked.least:
         return None
@@ -144,7 +145,8 @@ def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
         return None
     start = found["tgt_from_src"]
     fit = Similarity(float(start.scale), np.asarray(start.rotation.matrix()), np.asarray(start.translation, float))
-    # The search allows for depths, which are known badly; what agrees in depth alone says little, so begin wide.
+    # The search tolerates errors of depth, which are large; agreement in depth alone is weak, so begin with wide
+    # limits.
     for tolerance in tolerance_rad * 2.0 ** np.arange(asked.rounds)[::-1]:
         agree = some.agree(fit, tolerance)
         if agree.sum() < asked.least:
@@ -157,7 +159,7 @@ def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
 
 
 def tested(ties: Ties, fit: TieFit, tuning: PlacementTuning) -> TieTest:
-    """What holds a fit, by what it knew and by what it did not."""
+    """The evidence for a fit, from fitted and from held-out ties."""
     pairs = sorted({(int(a), int(b)) for a, b in ties.images[fit.agree]})
     number = {pair: k for k, pair in enumerate(sorted({(int(a), int(b)) for a, b in ties.images}))}
     half = np.array([number[int(a), int(b)] % 2 for a, b in ties.images])
@@ -181,7 +183,8 @@ def tested(ties: Ties, fit: TieFit, tuning: PlacementTuning) -> TieTest:
 
 
 def apart(one: Similarity, two: Similarity, fit: TieFit) -> tuple[float, float]:
-    """How far apart two similarities put what the ties see (units of the first model), and their turn in degrees."""
+    """Distance between the positions that two similarities give the ties (units of the first model), and rotation in
+    degrees."""
     back = np.linalg.inv(fit.first_from_second.matrix)
     there = transforms.apply(back, fit.middle[None])
     jump = float(np.linalg.norm(one(there) - two(there)))
@@ -203,7 +206,7 @@ def _refined(ties: Ties, start: Similarity, tolerance_rad: float) -> Similarity:
 
 
 def _independent(pairs: list[tuple[int, int]]) -> int:
-    """How many of the pairs of images share no image: greedily, in their order."""
+    """Number of pairs of images without a common image: greedily, in their order."""
     used: set[int] = set()
     count = 0
     for a, b in pairs:
@@ -218,9 +221,10 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 class Joining:
-    """The models that stand in one frame so far (``world``, by number), and what ties the others to them.
+    """The models in one frame so far (``world``, by number), and the ties of the others to them.
 
-    ``scene``: that they are of; ``tests``: what the matches of each model said, also where they did not hold.
+    ``scene``: the survey of the models; ``tests``: the test of the matches of each model, including those that
+    failed.
     """
 
     def __init__(
@@ -239,13 +243,13 @@ class Joining:
             self._tie(model)
 
     def add(self, number: int, model: pycolmap.Reconstruction) -> None:
-        """One more stands there."""
+        """Add a model to the world."""
         self.world[number] = model
         del self._other[number], self._ties[number]
         self._tie(model)
 
     def strongest(self, numbers: Sequence[int]) -> tuple[int, TieFit, TieTest] | None:
-        """The model most matches join to the world, of those whose matches hold."""
+        """The model with most matches to the world, among those whose matches pass the test."""
         found: tuple[int, TieFit, TieTest] | None = None
         for number in numbers:
             ties = together(self._ties.get(number, []))
@@ -275,7 +279,7 @@ def moved(model: pycolmap.Reconstruction, world_from_model: Similarity) -> pycol
 
 
 def together(ties: Sequence[Ties]) -> Ties:
-    """Ties of several models to one."""
+    """The ties of several models as one."""
     none = np.zeros((2, 0, 3))
     return Ties(
         np.concatenate([np.zeros((0, 2), int), *(t.images for t in ties)]),

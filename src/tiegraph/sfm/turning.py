@@ -1,8 +1,9 @@
-"""Images of a camera that turned on the spot, or before which nothing moved: no base, no depth, and so no model.
+"""Images of a camera that rotated on the spot, or in which nothing moved: without a base there is no depth and no
+model.
 
-A turn alone with a focal length that is off looks like a step: points on a sphere, cameras on a circle, sigmas of a
-thousandth. So the pairs are asked, with one focal length for all, whether turns alone explain them (Hartley and
-Zisserman, 13.3: x' = K R K^-1 x).
+A pure rotation with a wrong focal length looks like a translation: points on a sphere, cameras on a circle, sigmas of
+a thousandth. So the pairs are tested, with one focal length for all, whether rotations alone explain them (Hartley
+and Zisserman, 13.3: x' = K R K^-1 x).
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.tuning import MappingTuning
 
-_PAIRS, _MATCHES, _LEAST = 200, 50, 3  # looked at, of a pair, pairs that say something
-_ANY = np.geomspace(0.35, 3.0, 28)  # focal lengths in parts of the longer side: views of 110 to 19 degrees
-_NEAR = np.geomspace(1 / 1.3, 1.3, 8)  # times one that EXIF or a file gives
+_PAIRS, _MATCHES, _LEAST = 200, 50, 3  # pairs tested, matches of a pair, fewest pairs for a verdict
+_ANY = np.geomspace(0.35, 3.0, 28)  # focal lengths as shares of the longer side: views of 110 to 19 degrees
+_NEAR = np.geomspace(1 / 1.3, 1.3, 8)  # factors on a focal length from EXIF or a file
 
 
 def no_base(database: Path, pairs: np.ndarray, scene: Scene, tuning: MappingTuning) -> str:
-    """Why none of the verified pairs (P, 2), scene indices, tells a depth, in words; "" where some do, or where cameras
-    of a rig stand apart."""
+    """Why none of the verified pairs (P, 2), scene indices, gives depth, in words; "" if some do, or if the cameras
+    of a rig are apart."""
     own = pairs[scene.sensor[pairs[:, 0]] == scene.sensor[pairs[:, 1]]]
     if len(own) < _LEAST or any(len(r.sensors) > 1 and not r.stitched() for r in scene.rigs):
         return ""
@@ -44,20 +45,20 @@ def no_base(database: Path, pairs: np.ndarray, scene: Scene, tuning: MappingTuni
     if fits.mean() < tuning.turned_share:
         return ""
     which = f"{int(fits.sum())} of {len(fits)} pairs"
-    if tried[best] * np.median(np.radians(turn_deg[best])) < tuning.turned_off:  # a turn that moves nothing
+    if tried[best] * np.median(np.radians(turn_deg[best])) < tuning.turned_off:  # a rotation without visible motion
         return (
-            f"nothing moves between the images in {which}: most matches lie on what stands still to the camera, as a "
-            "background does behind a turntable, or the window before the lens: mask it (masks.folder), or take the "
-            "photographs before a plain background"
+            f"nothing moves between the images in {which}: most matches are on parts that do not move relative to the "
+            "camera, such as the background behind a turntable or a window in front of the lens: mask them "
+            "(masks.folder), or take the photographs in front of a plain background"
         )
     return (
-        f"the camera turned on the spot: {which} are explained by a turn alone (focal length {tried[best]:.2f} times "
-        "the longer side of the image), and without a base there is no depth: take the photographs from places apart"
+        f"the camera rotated on the spot: a rotation alone explains {which} (focal length {tried[best]:.2f} times the "
+        "longer side of the image); without a base there is no depth: take the photographs from different places"
     )
 
 
 def _parts_of_side(rows: Rows, cameras: Mapping[int, pycolmap.Camera], pair: tuple[int, int]) -> np.ndarray:
-    """(2, _MATCHES, 2) key points of a pair from the middle of their images, in parts of the longer side."""
+    """(2, _MATCHES, 2) key points of a pair from the middle of their images, as shares of the longer side."""
     matches = rows.verified_of(*pair)
     some = matches[np.linspace(0, len(matches) - 1, _MATCHES).round().astype(int)]
     sizes = [np.array([cameras[k].width, cameras[k].height]) for k in pair]
@@ -65,7 +66,8 @@ def _parts_of_side(rows: Rows, cameras: Mapping[int, pycolmap.Camera], pair: tup
 
 
 def _turned(xy: np.ndarray, focal: float) -> tuple[np.ndarray, np.ndarray]:
-    """(P,) medians of what turns alone leave of key points (P, 2, M, 2), and (P,) degrees of these turns."""
+    """(P,) medians of the residuals of pure rotations for key points (P, 2, M, 2), and (P,) degrees of these
+    rotations."""
     rays = np.concatenate([xy, np.full((*xy.shape[:3], 1), focal)], axis=3)
     rays /= np.linalg.norm(rays, axis=3, keepdims=True)
     weight = np.ones(rays.shape[:1] + rays.shape[2:3])

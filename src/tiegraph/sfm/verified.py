@@ -20,20 +20,20 @@ from tiegraph.sfm.tuning.placement import AgreementTuning
 
 @dataclass(frozen=True)
 class VerifiedMatches:
-    """Image pairs (P, 2), scene indices, low first, their matches (M, 2) and the images' key points (K, 2) px."""
+    """Image pairs (P, 2), scene indices, lower first, their matches (M, 2) and the images' key points (K, 2) px."""
 
     pairs: np.ndarray
     matches: tuple[np.ndarray, ...]
     xy: dict[int, np.ndarray]
 
     def where(self, rows: np.ndarray) -> VerifiedMatches:
-        """Some of the pairs (boolean or index array)."""
+        """A subset of the pairs (boolean or index array)."""
         chosen = np.flatnonzero(rows) if rows.dtype == bool else rows
         return VerifiedMatches(self.pairs[chosen], tuple(self.matches[k] for k in chosen), self.xy)
 
 
 def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int]] = ()) -> VerifiedMatches:
-    """All verified matches but those of refused pairs (scene indices)."""
+    """All verified matches except those of refused pairs (scene indices)."""
     away = {(min(p), max(p)) for p in refused}
     index = {image_id: k for k, image_id in image_ids(database, scene).items()}
     with Rows(database) as rows:
@@ -52,9 +52,10 @@ def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int
 
 @dataclass(frozen=True)
 class ImageObservations:
-    """What the images of a model know: camera, pose, row of the point of each key point (-1 = none), reach (nearest,
-    farthest) by scene index; the points ``xyz`` (P, 3), how many ``frames`` (P,) see each, and which (``seen``, sorted
-    numbers of point and frame in one); and ``tuning``: by what their matches are judged."""
+    """The observations of a model's images: by scene index camera, pose, row of the point of each key point (-1 =
+    none), reach (nearest, farthest); the points ``xyz`` (P, 3), the number of ``frames`` (P,) that see each, and
+    their list (``seen``, sorted numbers that combine point and frame); and ``tuning``: the tolerances of the test of
+    matches."""
 
     cameras: dict[int, pycolmap.Camera]
     cam_from_world: dict[int, np.ndarray]
@@ -67,7 +68,7 @@ class ImageObservations:
     tuning: AgreementTuning
 
     def elsewhere(self, image: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """(K,) bool: two frames beside that of an image (K,) see a point (K,) (row, -1 = none)."""
+        """(K,) bool: two frames other than that of an image (K,) see a point (K,) (row, -1 = none)."""
         count = np.where(point >= 0, self.frames[point], 0)
         out, open_ = count > 2, np.flatnonzero(count == 2)
         key = point[open_] * len(self.frame) + self.frame[image[open_]]
@@ -77,7 +78,7 @@ class ImageObservations:
 
 
 def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> ImageObservations:
-    """The registered images of a model that the scene knows."""
+    """The registered images of a model that are in the scene."""
     ids = np.array(sorted(model.point3D_ids()), np.int64)
     xyz = np.array([model.point3D(int(k)).xyz for k in ids] or np.zeros((1, 3)))
     cameras, poses, point, reach, keys = {}, {}, {}, {}, [np.zeros(0, np.int64)]
@@ -100,12 +101,12 @@ def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: Agr
 
 
 def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
-    """(P, 3): matches of each pair that the model explains, as its first and as its second image tell, and all of
-    them, all capped; 0, 0, 0 = no opinion.
+    """(P, 3): matches of each pair that the model explains, by its first image and by its second image, and all of
+    them; all capped; 0, 0, 0 = no verdict.
 
-    Where a match belongs to a point that two frames beside the image's see, that must lie where the key point is: two
-    rays alone meet wherever one image slides along the line to the other. They are asked where no such point tells and
-    none speaks against the key point.
+    If a match belongs to a point that two other frames see, that point must project onto the key point: two rays
+    alone meet wherever an image slides along the line to the other. Rays are tested only where there is no such
+    point, and none contradicts the key point.
     """
     all_ = _Matched(verified, seen)
     at = all_.at
@@ -120,8 +121,8 @@ def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sightings:
-    """Of K key points of some images the points that other frames made of what they match: ``image`` (K,) scene index,
-    ``xy`` (K, 2) px, ``xyz`` (K, 3), and whether they are seen ``there`` (K,) bool."""
+    """For K key points of some images, the points that other frames made of their matches: ``image`` (K,) scene
+    index, ``xy`` (K, 2) px, ``xyz`` (K, 3), and whether they project ``there`` (K,) bool."""
 
     image: np.ndarray
     xy: np.ndarray
@@ -130,7 +131,7 @@ class Sightings:
 
 
 def sightings(verified: VerifiedMatches, seen: ImageObservations, frame: int) -> Sightings:
-    """Those of a frame, each key point with each point once."""
+    """The observations of a frame, each key point with each point once."""
     own = seen.frame[verified.pairs] == frame
     keys = _Matched(verified.where(own.any(axis=1)), seen)
     mine = own[own.any(axis=1)][keys.pair]
@@ -144,12 +145,12 @@ def sightings(verified: VerifiedMatches, seen: ImageObservations, frame: int) ->
 
 
 def rays_meet(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
-    """(P, 2): matches of each pair whose two rays meet, whatever other images say, and all of them, capped likewise."""
+    """(P, 2): matches of each pair whose two rays meet, whatever other images see, and all of them; both capped."""
     all_ = _Matched(verified, seen)
     return all_.of_pairs(_in_parts(all_.meet, np.arange(len(all_.at))))
 
 
-_PART = 1 << 18  # matches that are looked at at once: bounds the memory
+_PART = 1 << 18  # matches tested at once: bounds the memory
 
 
 def _in_parts(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
@@ -158,8 +159,8 @@ def _in_parts(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.nd
 
 
 class _Matched:
-    """All key points of a model's images in one row: ``start`` (N,) of each image; ``image`` (K,); ``point`` (K,) row,
-    -1 = none. All matches of pairs that have an opinion: the ``pair`` (M,) and the key points ``at`` (M, 2)."""
+    """All key points of a model's images in one array: ``start`` (N,) of each image; ``image`` (K,); ``point`` (K,)
+    row, -1 = none. All matches of pairs with a verdict: the ``pair`` (M,) and the key points ``at`` (M, 2)."""
 
     def __init__(self, verified: VerifiedMatches, seen: ImageObservations) -> None:
         images, self._seen = sorted(seen.cameras.keys() & verified.xy.keys()), seen
@@ -183,14 +184,15 @@ class _Matched:
         self._pairs = verified.pairs
 
     def of_pairs(self, *right: np.ndarray) -> np.ndarray:
-        """(P, K + 1): of the matches of each pair those that are right (M,) in each of K ways, and all, capped."""
+        """(P, K + 1): number of matches of each pair that pass each of K tests (M,), and of all matches; capped."""
         count = np.bincount(self.pair, minlength=len(self._pairs))
         all_ = np.minimum(count, self._seen.tuning.matches_a_pair)
         found = [np.bincount(self.pair, r, len(count)) / np.maximum(count, 1) * all_ for r in right]
         return np.column_stack([*found, all_])
 
     def at_points(self, own: np.ndarray, matched: np.ndarray) -> np.ndarray:
-        """(M,) whether key points lie where the points of those matched to them are: 1, 0; -1 = too few made these."""
+        """(M,) whether the points of matched key points project onto the key points: 1, 0; -1 = too few frames see
+        the points."""
         point, seen, image = self.point[matched], self._seen, self.image[own]
         local = np.einsum("mij,mj->mi", self._pose[image, :3, :3], seen.xyz[point]) + self._pose[image, :3, 3]
         along = np.sum(local * self._ray[own], axis=1)
@@ -198,8 +200,8 @@ class _Matched:
         return np.where(seen.elsewhere(image, point), there, -1)
 
     def meet(self, rows: np.ndarray) -> np.ndarray:
-        """(M,) bool: the rays of matches (rows of ``at``) meet, ahead of both and within reach (or far off, without
-        parallax)."""
+        """(M,) bool: the rays of matches (rows of ``at``) meet in front of both cameras and within reach (or are
+        parallel and far away)."""
         tuning, (a, b), images = self._seen.tuning, self._ray[self.at[rows].T], self._pairs[self.pair[rows]]
         turn = np.swapaxes(self._pose[images, :3, :3], -1, -2)
         centre = -np.einsum("mnij,mnj->mni", turn, self._pose[images, :3, 3])

@@ -1,1 +1,1 @@
-"""The coarse model of the survey, made of previews, and the surface its images share."""
+"""The coarse model of the survey, made of previews, and the surface that its images share."""

@@ -1,21 +1,21 @@
 """The coarse model of a survey of any size: mapped whole, or in blocks that are joined by the images they share.
 
-A model is made roughly (few tracks, no final adjustment): good to decimetres, which is enough to choose pairs by and to
-start from. Time grows linearly with the images. A survey of some hundred images is mapped whole. Beyond,
-``scene.blocks`` cuts the graph of frames into blocks that keep both passes of a place together and share the frames at
-their borders. Each block is mapped by itself, and ``scene.joining`` puts the models into one frame by the images they
-share. Joins that the shared images or the other joins contradict are refused and reported.
-Where two blocks have a group of images elsewhere, the ties that hold it there are found (``false_ties``), and the next
-try is made without them. Parts that do not hold together in the end are judged each by itself, and the counts decide
-between them. The previews of an image are bounded (``offsets``), pairs that the axes rule out are counted and not
-listed, and no process holds the previews of all images.
+A model is made roughly (few tracks, no final adjustment): accurate to decimetres, which is enough to choose pairs and
+to start from. Time grows linearly with the images. A survey of some hundred images is mapped as a whole. Beyond that,
+``scene.blocks`` cuts the graph of frames into blocks that keep both passes of a place together and share the frames
+at their borders. Each block is mapped separately, and ``scene.joining`` puts the models into one frame by their
+shared images. Joins that the shared images or the other joins contradict are refused and reported. If two blocks
+place a group of images differently, the ties that hold it there are found (``false_ties``), and the next try is made
+without them. Components that cannot be joined in the end are judged separately, and the match counts decide between
+them. The previews of an image are bounded (``offsets``), pairs that the axes exclude are counted and not listed, and
+no process holds the previews of all images.
 
-Which ties are false where two blocks of the coarse model do not agree. A block whose two passes were tied by a wall
-like the right one has one of them in a wrong place, without any error of its own. The images that it shares with a
-neighbour then fall into two groups: each is the same in both models, but not where the one is against the other. One of
-the blocks must be wrong. In each of them, the fewest points that hold the two groups together are looked for (minimum
-cut; frames that follow each other are never cut apart): the block where they are fewer is taken to be wrong, as in
-``trust``, and the ties behind these points to be false.
+Finding false ties where two blocks of the coarse model disagree: a block whose two passes were tied by a wall similar
+to the right one has one pass in a wrong place, without any residual of its own. The images shared with a neighbouring
+block then fall into two groups: each has the same shape in both models, but not the same relative position. One of
+the blocks must be wrong. In each of them, the smallest set of points that connects the two groups is found (minimum
+cut; consecutive frames are never separated). The block with the smaller set is taken as wrong, as in ``trust``, and
+the ties behind these points as false.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,14 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import JoiningTuning
 
-NAMED = 5  # tears named one by one in the notes
+NAMED = 5  # tears listed singly in the notes
 
 
 @dataclass(frozen=True)
 class Assembled:
-    """Models of the survey, most images first, none of which shares an image with another, and what people should
-    know. One, if the survey was mapped whole or all blocks hold together; more where it is torn; perhaps none.
-    ``suspects``: images i, j (K,) of the ties that put blocks at odds (``false_ties``)."""
+    """Models of the survey, most images first, without common images, and notes. One model if the survey was mapped
+    as a whole or all blocks were joined; more if it is torn; perhaps none. ``suspects``: images i, j (K,) of the ties
+    that make blocks disagree (``false_ties``)."""
 
     models: tuple[CoarseModel, ...]
     notes: tuple[str, ...] = ()
@@ -56,7 +56,7 @@ def assembled(
     tuning: CoarseTuning,
     joining: JoiningTuning,
 ) -> Assembled:
-    """The models of the blocks, None where none could be made, joined by the images they share."""
+    """The models of the blocks, None where none could be made, joined by their shared images."""
     if is_whole(blocks, scene):
         return Assembled(tuple(m for m in models if m is not None and m.placed().any()))
     made = [(b, m) for b, m in zip(blocks, models) if m is not None and m.placed().any()]
@@ -73,7 +73,7 @@ def assembled(
 
 
 def is_whole(blocks: Sequence[Block], scene: Scene) -> bool:
-    """Whether one block is the survey."""
+    """Whether a single block covers the survey."""
     return len(blocks) == 1 and len(blocks[0]) == len(scene)
 
 
@@ -84,10 +84,10 @@ def _poses(block: Block, model: CoarseModel) -> Poses:
 
 
 def _whose(scene: Scene, made: Sequence[tuple[Block, CoarseModel]], part: np.ndarray) -> np.ndarray:
-    """(N,) the model each image is taken from: of the block whose own it is, else of one that was lent it and holds it,
-    of the largest part; -1 = none holds it."""
+    """(N,) the model from which each image is taken: that of the block that owns it, else of a block that shares and
+    places it, in the largest component; -1 = none places it."""
     out = np.full(len(scene), -1)
-    order = np.argsort(-part, kind="stable")  # what is written last stays
+    order = np.argsort(-part, kind="stable")  # the last assignment wins
     for lent in (True, False):
         for k in order:
             block, model = made[k]
@@ -98,8 +98,8 @@ def _whose(scene: Scene, made: Sequence[tuple[Block, CoarseModel]], part: np.nda
 def _together(
     scene: Scene, made: Sequence[tuple[Block, CoarseModel]], joined: JoinResult, whose: np.ndarray, part: int
 ) -> CoarseModel:
-    """The models of one part in one frame. A point is taken from the model that most of its observers are taken from,
-    so that what two blocks see alike is there once."""
+    """The models of one component in one frame. A point is taken from the model from which most of its observers are
+    taken, so that points seen by two blocks are not doubled."""
     poses = np.full((len(scene), 4, 4), np.nan)
     cameras: list = [None] * len(scene)
     points, image, point = [np.zeros((0, 3))], [np.zeros(0, int)], [np.zeros(0, int)]
@@ -132,8 +132,9 @@ def _together(
 
 
 def _rigs(scene: Scene, members: Sequence[tuple[Block, CoarseModel]]) -> tuple[Rig, ...]:
-    """Each rig as the block has it that differs least from the others which hold images of it: a block is mapped
-    roughly, and one of ten had a camera turned by 10 deg. Of equal ones that with most images of the rig."""
+    """For each rig, the estimate of the block that differs least from those of the other blocks with images of it:
+    blocks are mapped roughly, and one of ten had a camera rotated by 10 deg. Among equals, the block with most images
+    of the rig."""
     out = []
     for index, given in enumerate(scene.rigs):
         rig = scene.rig[scene.frame]
@@ -146,8 +147,8 @@ def _rigs(scene: Scene, members: Sequence[tuple[Block, CoarseModel]]) -> tuple[R
 
 
 def _apart(one: Rig, other: Rig) -> float:
-    """By how much two estimates of a rig differ: the angles between the mountings of its cameras, and what their focal
-    lengths turn a ray at 45 degrees by, added up in radians."""
+    """Difference of two estimates of a rig: the angles between the mountings of its cameras, and the rotation of a
+    ray at 45 degrees by the difference of focal lengths, added up in radians."""
     total = 0.0
     for a, b in zip(one.sensors, other.sensors):
         if a.sensor_from_rig is not None and b.sensor_from_rig is not None:
@@ -164,28 +165,31 @@ def _notes(
     shared, agree = sum(j.shared for j in joined.joins if j.holds), sum(j.agree for j in joined.joins if j.holds)
     text = f"coarse model: mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images"
     if shared:
-        text += f"; {100 * agree / shared:.0f} % of what two blocks share agrees"
+        text += f"; {100 * agree / shared:.0f} % of the images shared by two blocks agree"
     out = [text]
     if len(made) < len(blocks):
-        out.append(f"coarse model: of {len(blocks) - len(made)} blocks none could be made")
+        out.append(f"coarse model: {len(blocks) - len(made)} blocks could not be mapped")
     torn = [j for j in joined.joins if not j.holds]
     for j in torn[:NAMED]:
         ends = " and ".join(_span(scene, made[k][0]) for k in (j.a, j.b))
-        out.append(f"coarse model: the blocks of {ends} share {j.shared} images, {j.agree} agree: not joined there")
+        out.append(
+            f"coarse model: the blocks of {ends} share {j.shared} images, of which {j.agree} agree: they are not "
+            "joined there"
+        )
     if len(torn) > NAMED:
-        out.append(f"coarse model: {len(torn) - NAMED} more couples of blocks do not agree")
+        out.append(f"coarse model: {len(torn) - NAMED} more pairs of blocks do not agree")
     parts = len(np.unique(joined.part))
     if parts > 1:
         sizes = sorted((int(np.sum(joined.part == k)) for k in range(parts)), reverse=True)
         out.append(
-            f"coarse model: torn into {parts} parts of {', '.join(map(str, sizes))} blocks; between them the preview "
-            "counts decide"
+            f"coarse model: torn into {parts} components of {', '.join(map(str, sizes))} blocks; between them the "
+            "numbers of preview matches decide"
         )
     return tuple(out)
 
 
 def _span(scene: Scene, block: Block) -> str:
-    """From which to which own image of its first pass a block goes."""
+    """The first and last own image of a block's first pass."""
     images = block.images[block.own]
     frame = scene.frame[images]
     first = images[scene.sequence[frame] == scene.sequence[frame].min()]
@@ -193,7 +197,8 @@ def _span(scene: Scene, block: Block) -> str:
     return f"{scene.names[first[order[0]]]} .. {scene.names[first[order[-1]]]}"
 
 
-# --- which ties are false where two blocks of the coarse model do not agree ------------------------------------------
+# --- false ties where two blocks of the coarse model disagree
+# ------------------------------------------------------------
 
 
 def false_ties(
@@ -204,8 +209,8 @@ def false_ties(
     near_steps: int,
     tuning: JoiningTuning,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images i, j (K,) of the ties that put blocks at odds. ``poses``: those of the models that were joined.
-    ``near_steps``: frames of a pass that are never cut apart."""
+    """Images i, j (K,) of the ties that make blocks disagree. ``poses``: those of the joined models. ``near_steps``:
+    frames of a pass closer than this are never separated."""
     i, j = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for one in joins:
         if one.holds or one.refused:
@@ -231,8 +236,8 @@ def _without(poses: Poses, images: np.ndarray) -> Poses:
 def cut_between(
     scene: Scene, block: Block, model: CoarseModel, groups: tuple[np.ndarray, np.ndarray], near_steps: int
 ) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """The pairs of images i, j (K,) whose shared points, and how many these are, are the fewest that hold two groups of
-    images together in the model of a block; None where frames that follow each other do so, or nothing does."""
+    """The image pairs i, j (K,) behind the smallest set of points that connects two groups of images in the model of
+    a block, and the size of the set; None if consecutive frames connect them, or nothing does."""
     i, j, points = _shared_points(model)
     frames, frame = np.unique(scene.frame[block.images], return_inverse=True)
     a, b = frame[i], frame[j]
@@ -250,7 +255,7 @@ def cut_between(
 
 
 def _pieces(scene: Scene, frames: np.ndarray, placed: np.ndarray, near_steps: int) -> np.ndarray:
-    """(F,) number of the stretch of a pass that a frame is on; frames not ``placed`` (F,) are by themselves."""
+    """(F,) number of the section of a pass that a frame is on; a frame not ``placed`` (F,) is a section of its own."""
     at = np.flatnonzero(placed)
     order = at[np.lexsort((scene.sequence_index[frames[at]], scene.rig[frames[at]], scene.sequence[frames[at]]))]
     before, after = order[:-1], order[1:]
@@ -259,7 +264,7 @@ def _pieces(scene: Scene, frames: np.ndarray, placed: np.ndarray, near_steps: in
 
 
 def _shared_points(model: CoarseModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Images i < j of the model and how many points both see, (K,) each."""
+    """Images i < j of the model and the number of points that both see, (K,) each."""
     shape = len(model.cam_from_world), len(model.points)
     sees = csr_array((np.ones(len(model.image), np.int64), (model.image, model.point)), shape=shape)
     both = coo_array(sees @ sees.T)

@@ -1,8 +1,8 @@
-"""The coarse model of a survey or of a block of it, made of previews: poses, cameras, points, and who sees them.
+"""The coarse model of a survey or of a block, made of previews: poses, cameras, points, and their observations.
 
-Its points are where the rays of its tracks meet: the mapper of a coarse model places the images by the longest tracks
-only, which are a seventh of all. Poses and tracks are there, so the others cost no adjustment: each is where its rays
-come nearest to each other.
+Its points are the intersections of the rays of its tracks. The mapper of a coarse model uses the longest tracks only,
+which are a seventh of all. With the poses known, the other tracks need no adjustment: each point is where its rays
+are closest to each other.
 """
 
 import json
@@ -24,8 +24,8 @@ from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, pixel_rays
 class CoarseModel:
     """A model of the survey in its own frame and units.
 
-    cam_from_world (N, 4, 4), NaN = not in the model; cameras: one an image; points (P, 3); image (M,), point (M,):
-    which image sees which point; rigs: with the extrinsics and cameras of the model.
+    cam_from_world (N, 4, 4), NaN = not in the model; cameras: one for each image; points (P, 3); image (M,), point
+    (M,): observations; rigs: with the extrinsics and cameras of the model.
     """
 
     cam_from_world: np.ndarray
@@ -40,7 +40,7 @@ class CoarseModel:
         return np.all(np.isfinite(self.cam_from_world), axis=(1, 2))
 
     def reach(self) -> np.ndarray:
-        """(N, 2) distances to the nearest and farthest points an image sees (percentiles); NaN without points."""
+        """(N, 2) distances to the nearest and farthest points that an image sees (percentiles); NaN without points."""
         centre = transforms.centre(self.cam_from_world)
         distance = np.linalg.norm(self.points[self.point] - centre[self.image], axis=1)
         out = np.full((len(self.cam_from_world), 2), np.nan)
@@ -56,12 +56,12 @@ class CoarseModel:
         return observed_proxy(self.points, self.image, self.point, self.cam_from_world)
 
     def overlap(self, max_angle_deg: float, tuning: CoarseTuning) -> Overlap:
-        """Predicted shared surface of every two images whose rays to it meet at no more than an angle."""
+        """Predicted shared surface of all pairs of images whose rays to it meet at no more than this angle."""
         proxy = self.proxy()
         return shared_surface(self.cam_from_world, self.cameras, proxy, tuning.visible, max_angle_deg)
 
     def visibility(self, tuning: CoarseTuning) -> Visibility:
-        """The points each image should see."""
+        """The points that each image should see."""
         return visible_points(self.cam_from_world, self.cameras, self.proxy(), tuning.visible)
 
     def to_npz(self) -> dict[str, np.ndarray]:
@@ -97,10 +97,10 @@ class CoarseModel:
 def with_surface(
     model: CoarseModel, ties: PreviewMatches, features: Callable[[int], np.ndarray], tuning: TracksTuning
 ) -> CoarseModel:
-    """The model with the points of all tracks that ``ties`` join between its images.
+    """The model with the points of all tracks that ``ties`` form between its images.
 
-    ``features``: pixels (K, 2) of an image's preview. Of the rays of a point the worst are left out one after another,
-    at most three, while they miss it by more than ``off_deg``; it needs ``images`` others, two of them
+    ``features``: pixels (K, 2) of an image's preview. The worst rays of a point are left out one after another, at
+    most three, while they miss it by more than ``off_deg``; the point needs ``images`` other rays, two of them
     ``angle_deg`` apart.
     """
     placed = model.placed()
@@ -110,16 +110,16 @@ def with_surface(
     for k in np.unique(image):
         own = image == k
         towards[own] = pixel_rays(model.cameras[k], features(int(k))[feature[own]]) @ model.cam_from_world[k, :3, :3]
-    # (K,) bool: observations of tracks that have no image twice, which a wrong match has joined of two
+    # (K,) bool: observations of tracks without a repeated image; a wrong match has joined two tracks that repeat one
     order = np.lexsort((image, track))
     twice = (np.diff(track[order]) == 0) & (np.diff(image[order]) == 0)
     use = np.isfinite(towards).all(axis=1) & ~np.isin(track, track[order[1:][twice]])
     points, off = np.zeros((0, 3)), np.zeros(len(track))
-    for _ in range(4):  # with more than three wrong rays it is no point
+    for _ in range(4):  # a point with more than three wrong rays is dropped
         use &= ~_worst(track, np.where(use, off, 0.0), tuning.off_deg)
         use &= _held(track, towards, use, tuning)[track]
         points = _nearest(track, centre, np.where(use[:, None], towards, np.nan))
-        # (K,) angle between the way to a point and a ray
+        # (K,) angle between the direction to a point and a ray
         way = points[track] - centre
         along = np.einsum("kc,kc->k", way, towards) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
         off = np.degrees(np.arccos(np.clip(along, -1, 1)))
@@ -129,14 +129,15 @@ def with_surface(
 
 
 def _worst(track: np.ndarray, off: np.ndarray, limit: float) -> np.ndarray:
-    """(K,) bool: of each track the ray that misses by most, if by more than the limit."""
+    """(K,) bool: the ray of each track with the largest error, if that exceeds the limit."""
     most = np.zeros(int(track.max(initial=-1)) + 1)
     np.maximum.at(most, track, off)
     return (off > limit) & (off == most[track])
 
 
 def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """(T, 3) point nearest to the rays of each track by least squares, NaN = not to be used; anywhere without any."""
+    """(T,) points nearest to the rays of each track by least squares, (T, 3); NaN rays are not used; arbitrary
+    without rays."""
     use, number = np.isfinite(towards).all(axis=1), int(track.max(initial=-1)) + 1
     across = np.eye(3) - towards[use, :, None] * towards[use, None, :]
     normal, right = np.zeros((number, 3, 3)), np.zeros((number, 3))
@@ -146,7 +147,7 @@ def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.n
 
 
 def _held(track: np.ndarray, towards: np.ndarray, use: np.ndarray, tuning: TracksTuning) -> np.ndarray:
-    """(T,) bool: tracks with enough rays in use, two of them far enough apart: one from their mean by half of it."""
+    """(T,) bool: tracks with enough used rays, two of them far enough apart: one at half that angle from their mean."""
     number = int(track.max(initial=-1)) + 1
     count = np.bincount(track[use], minlength=number)
     mean = np.zeros((number, 3))

@@ -1,4 +1,4 @@
-"""Points that stand for the surveyed surface: of a model, of a scan, or at an assumed range from poses alone."""
+"""Points that represent the surveyed surface: of a model, of a scan, or at an assumed range from poses alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from tiegraph.geometry.rays import unit_rays
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.rig import on_plane
 
-_LEAF = 64  # points of a box that is tested as one
+_LEAF = 64  # points of a box that is tested as a whole
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera: projection to image shares 0..1 and the half angle of a cone round it."""
+    """A camera: projection to image shares 0..1 and the half angle of a cone around it."""
 
     camera: pycolmap.Camera | None
     half: float  # radians, to the corners
@@ -34,7 +34,8 @@ class View:
         return View(camera, float(half) if half > 0 else np.radians(89), slope)
 
     def rays(self, shares: np.ndarray) -> np.ndarray:
-        """(K, 3) unit rays of places given in shares of the image (K, 2); NaN where the model has no inverse."""
+        """(K, 3) unit rays of positions given as shares of the image (K, 2); NaN where the camera model has no
+        inverse."""
         if self.camera is None:
             xy = (2 * shares - 1) * self.slope
         else:
@@ -42,9 +43,9 @@ class View:
         return unit_rays(xy)
 
     def project(self, local: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """(K, 2) shares of the image 0..1, NaN = not in it, of points (K, 3) in the camera frame with z > 0.
+        """(K, 2) shares of the image 0..1, NaN = outside, of points (K, 3) in the camera frame with z > 0.
 
-        Points up to ``slack`` radians outside count as on the rim.
+        Points up to ``slack`` radians outside count as on the border.
         """
         if self.camera is None:
             shares = (local[:, :2] / local[:, 2:] / self.slope + 1) / 2
@@ -58,11 +59,11 @@ class View:
 
 @dataclass(frozen=True)
 class Proxy:
-    """P points that stand for the surface, with what is known of their observers.
+    """P points that represent the surface, with information on their observers.
 
-    ``reach``: distance from which a point is still seen, inf = any; ``towards``: mean unit vector to its observers,
-    zero = not known; ``image``/``point`` (O,): observations. ``assumed``: the points are not measured, each stands for
-    the one image that observes it: they hide nothing, and an image votes with its own points only.
+    ``reach``: distance up to which a point is seen, inf = any; ``towards``: mean unit vector to its observers, zero =
+    unknown; ``image``/``point`` (O,): observations. ``assumed``: the points are not measured, each represents the one
+    image that observes it: they occlude nothing, and an image votes with its own points only.
     """
 
     points: np.ndarray  # (P, 3)
@@ -100,7 +101,7 @@ def observed_proxy(points: np.ndarray, image: np.ndarray, point: np.ndarray, cam
     np.add.at(towards, point, ray / distance[:, None])
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     reach = np.zeros(len(points))
-    np.maximum.at(reach, point, 2.0 * distance)  # not seen from further than twice its farthest observer
+    np.maximum.at(reach, point, 2.0 * distance)  # seen up to twice the distance of its farthest observer
     observers = np.bincount(point, minlength=len(points))
     reach = np.where(observers > 0, reach, np.inf)
     return Proxy(points=points, reach=reach, towards=towards, image=image, point=point)
@@ -112,9 +113,9 @@ def assumed_proxy(
     range_m: float | np.ndarray,
     tuning: CoarseTuning,
 ) -> Proxy:
-    """Proxy from poses alone (paper 003): points on a grid of rays of every image, about an assumed range.
+    """Proxy from poses alone (paper 003): points on a grid of rays of every image, around an assumed range.
 
-    ``range_m`` one for all or (N,), in the unit of the poses.
+    ``range_m``: one for all or (N,), in the unit of the poses.
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     ranges = np.broadcast_to(np.asarray(range_m, float), (len(cam_from_world),))
@@ -131,7 +132,7 @@ def assumed_proxy(
     number = np.array(count, int)
     return Proxy(
         points=np.concatenate(points),
-        reach=np.repeat(3.0 * ranges[known], number),  # seen from three ranges away
+        reach=np.repeat(3.0 * ranges[known], number),  # seen up to three ranges away
         towards=np.concatenate(towards),
         image=np.repeat(known, number),
         point=np.arange(number.sum()),
@@ -140,7 +141,8 @@ def assumed_proxy(
 
 
 def _grid_rays(view: View, size: tuple[int, int]) -> np.ndarray:
-    """(G, 3) unit rays through the centres of a grid of the image; not those the camera model cannot invert."""
+    """(G, 3) unit rays through the centres of a grid of the image, without those that the camera
+    model cannot invert."""
     u, v = (np.arange(n) + 0.5 for n in size)
     grid = np.stack(np.meshgrid(u / size[0], v / size[1]), axis=-1).reshape(-1, 2)
     rays = view.rays(grid)
@@ -148,7 +150,7 @@ def _grid_rays(view: View, size: tuple[int, int]) -> np.ndarray:
 
 
 class Boxes:
-    """The points of a proxy by groups, so that an image looks only at those near its field of view."""
+    """The points of a proxy in groups, so that an image tests only those near its field of view."""
 
     def __init__(self, proxy: Proxy) -> None:
         self.order = np.asarray(cKDTree(proxy.points, leafsize=_LEAF).indices)

@@ -1,11 +1,11 @@
-"""Where the coarse model is believed: where it explains the strong previews, first of all those of near frames.
+"""Where the coarse model is trusted: where it explains the strong previews, above all those of near frames.
 
-A coarse model can tear, or fold one place onto a wall like it, without any error of its own. Frames that follow each
-other always tie. Where the model contradicts their ties it is cut into stretches; the fewest matches that still hold
-torn stretches together are taken to be false (minimum cut), and the model is made again without them. The model can
-also turn a camera that few points hold, by tens of degrees: where a nominal mounting would be off by more than 15, a
-second model must find the same, or that camera stays as given and its pairs are left to the counts. Of what still
-does not hold together only the largest part is believed, and the receipt says so.
+A coarse model can tear, or fold one place onto a similar wall, without any residual. Consecutive frames always tie.
+Where the model contradicts their ties it is cut into sections; the smallest set of matches that still connects torn
+sections is taken as false (minimum cut), and the model is made again without them. The model can also rotate a camera
+with few points by tens of degrees: if a nominal mounting would be off by more than 15, a second model must find the
+same, or that camera stays as given and the match counts decide on its pairs. Of components that cannot be joined only
+the largest is trusted, and the receipt says so.
 """
 
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ from tiegraph.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Trust:
-    """How far a model is believed.
+    """The trusted part of a model.
 
-    images (N,) bool: where. agreement: share of the strong previews of near frames that it explains, NaN = there are
-    none. explained: share of the matches in all strong previews. suspects: images i (K,), j (K,) of ties it explains
-    between stretches of passes where most ties contradict it.
+    images (N,) bool: where it is trusted. agreement: share of the strong previews of near frames that it explains,
+    NaN = there are none. explained: share of the matches in all strong previews. suspects: images i (K,), j (K,) of
+    ties that it explains between sections of passes where it contradicts most ties.
     """
 
     images: np.ndarray
@@ -39,7 +39,7 @@ class Trust:
 
     @staticmethod
     def none(images: int) -> "Trust":
-        """That in no model."""
+        """For images in no model."""
         nothing = np.zeros(0, np.int64)
         return Trust(
             images=np.zeros(images, bool),
@@ -59,15 +59,15 @@ def trust(
     settings: CandidatesSettings,
     tuning: TrustTuning,
 ) -> Trust:
-    """How far a model is believed. ``part`` (N,): the part of it that holds an image, -1 = none. ``asked``: the best
-    pairs i, j (K,) of the images, which it is to be made of: what lies between two stretches is told by them, for of
-    all previews of a long survey most are of walls alike, the more the longer it is.
+    """The trusted part of a model. ``part`` (N,): the component that contains an image, -1 = none. ``asked``: the
+    best pairs i, j (K,) of the images, of which the model is made: they decide between two sections, because most of
+    all the previews of a long survey show similar walls, the more the longer it is.
 
-    Walls may repeat anywhere but hardly from one frame to the next. So a pass is cut into stretches where the model
-    contradicts the strong previews between near frames. Two stretches that are torn apart cannot both be right to a
-    third: the fewest matches that hold them together all the same (minimum cut) are false, and suspects. On canal a
-    model tore at a bridge into two right halves, for the ties across the change of light had fewer matches than those
-    of one half to a wall like its own. Only the largest set of stretches that hold together is believed.
+    Walls may repeat anywhere but hardly from one frame to the next. So a pass is cut into sections where the model
+    contradicts the strong previews between near frames. Two sections that are torn apart cannot both fit a third: the
+    smallest set of matches that still connects them (minimum cut) is false, and suspect. On canal a model tore at a
+    bridge into two correct halves, because the ties across the change of light had fewer matches than those of one
+    half to a wall similar to its own. Only the largest set of connected sections is trusted.
     """
     i, j, count = cache.pairs()
     tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
@@ -99,7 +99,7 @@ def trust(
 
 
 def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.ndarray:
-    """(K,) bool: frames a, b (K,) are not the same, and at most so many steps of one pass apart."""
+    """(K,) bool: frames a, b (K,) differ and are at most this many steps of one pass apart."""
     same = (
         (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
     )
@@ -109,12 +109,12 @@ def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.nd
 def _doubts(
     scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray, tuning: TrustTuning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(F,), (F,) bool: frames of whose near previews (K,) with those before, and with those after, most are not
+    """(F,), (F,) bool: frames most of whose near previews (K,) with earlier frames, and with later frames, are not
     explained."""
     a, b = scene.frame[i], scene.frame[j]
     later = scene.sequence_index[a] > scene.sequence_index[b]
     out = []
-    # Forwards and backwards by themselves: at a tear one half of a frame's neighbours are where they should be.
+    # Forwards and backwards separately: at a tear one half of a frame's neighbours are in the right place.
     for ends in (np.where(later, a, b), np.where(later, b, a)):
         total = np.bincount(ends, minlength=scene.frames)
         good = np.bincount(ends, right, minlength=scene.frames)
@@ -123,8 +123,8 @@ def _doubts(
 
 
 def _stretches(scene: Scene, part: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """(N,) number of the stretch of a pass that an image is on, -1 for those in no part; loose images are one. Passes
-    are cut before and after frames (F,) bool."""
+    """(N,) number of the section of a pass that an image is on, -1 for images in no component; all loose images are
+    one section. Passes are cut before and after frames (F,) bool."""
     whole = np.full(scene.frames, -1)
     np.maximum.at(whole, scene.frame, part)
     order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
@@ -138,13 +138,13 @@ def _stretches(scene: Scene, part: np.ndarray, before: np.ndarray, after: np.nda
 
 
 def _between_stretches(stretches: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
-    """(n, n) sum of weights (K,) between each two stretches, in both orders."""
+    """(n, n) sum of weights (K,) between each two sections, in both orders."""
     table = np.bincount(stretches, weight, minlength=n * n).reshape(n, n)
     return table + table.T
 
 
 def _without_false(linked: np.ndarray, torn: np.ndarray) -> np.ndarray:
-    """(n, n) matches that hold stretches together, without the fewest that must be false if torn ones are apart."""
+    """(n, n) matches that connect sections, without the smallest set that must be false if torn ones are apart."""
     held = linked.copy()
     held[torn] = 0
     for a, b in zip(*np.nonzero(np.triu(torn))):
@@ -154,7 +154,7 @@ def _without_false(linked: np.ndarray, torn: np.ndarray) -> np.ndarray:
 
 
 def _largest(stretch: np.ndarray, agree: np.ndarray, contradict: np.ndarray) -> np.ndarray:
-    """(N,) bool: the images of the largest set of stretches that agree, and of those that contradict none of it."""
+    """(N,) bool: the images of the largest set of agreeing sections, without sections that contradict each other."""
     on = stretch >= 0
     a, b = np.nonzero(agree)
     label = parts(a, b, len(agree))

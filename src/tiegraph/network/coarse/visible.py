@@ -1,9 +1,9 @@
 """Which images see the same surface: overlap predicted from poses and a proxy of the scene, in linear time.
 
-The proxy is a set of points: of a coarse model or an earlier one, or made from poses alone at an assumed range
-(paper 003). A point is visible in an image if it projects into it, is not behind a nearer point of its image cell, is
-not seen from behind, and not from much further than by those that observed it. The share of i that j sees gives each
-occupied cell of i one vote, so that a cluster of points on one facade does not stand for the whole image.
+The proxy is a set of points: of a coarse model or an earlier one, or made from poses alone at an assumed range (paper
+003). A point is visible in an image if it projects into it, is not behind a nearer point of its image cell, is not
+seen from behind, and not from much further than its observers are. For the share of i that j sees, each occupied cell
+of i has one vote, so that a cluster of points on one facade does not represent the whole image.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from tiegraph.scene.sorting import Columns
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 
-_BLOCK = 128  # rows of the pair table worked out at once
-_OWNERS = 256  # images whose assumed points are worked out at once
+_BLOCK = 128  # rows of the pair table computed at once
+_OWNERS = 256  # images whose assumed points are computed at once
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Overlap(Columns):
 
     i: np.ndarray
     j: np.ndarray
-    share: np.ndarray  # of the surface one sees, the part the other sees too: the larger of the two directions
-    angle_deg: np.ndarray  # between the two rays to the shared surface, on average; NaN = too little is shared to say
+    share: np.ndarray  # share of the surface of one image that the other sees too: the larger of the two directions
+    angle_deg: np.ndarray  # mean angle between the two rays to the shared surface; NaN = too little is shared
     scale: np.ndarray  # distance of i over distance of j to the shared surface, geometric mean; NaN likewise
 
     def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ class Overlap(Columns):
 
     @staticmethod
     def together(parts: "Sequence[Overlap]") -> "Overlap":
-        """One list of several that have no pair in common."""
+        """One list from several that have no pair in common."""
         if not parts:
             return Overlap(*np.zeros((2, 0), np.int32), *np.zeros((3, 0)))
         columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
@@ -58,7 +58,7 @@ class Overlap(Columns):
 
 @dataclass(frozen=True)
 class _Eye:
-    """One image: its pose cam_from_world (4, 4), camera, and how far off its pose may be, radians."""
+    """One image: its pose cam_from_world (4, 4), camera, and angular uncertainty of its pose, radians."""
 
     pose: np.ndarray
     view: View
@@ -77,7 +77,7 @@ class Rays:
 
 
 def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of points (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
+    """For points (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
     half = tuning.cone_widens * rays.view.half + rays.slack
     ray, local, towards = rays.world, rays.local, proxy.towards[rays.point]
     distance = np.linalg.norm(ray, axis=1)
@@ -93,7 +93,7 @@ def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray
 def _sight(
     eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What an image sees: points (K,), their cells (K,) and distances (K,)."""
+    """The points (K,) that an image sees, their cells (K,) and distances (K,)."""
     half = tuning.cone_widens * eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
     ray = proxy.points[near] - transforms.centre(eye.pose)
@@ -116,12 +116,12 @@ def shared_surface(
     max_angle_deg: float,
     slack_rad: np.ndarray | float = 0.0,
 ) -> Overlap:
-    """Pairs of images whose predicted overlap is worth listing (``min_share``).
+    """Pairs of images with a predicted overlap of at least ``min_share``.
 
-    ``cam_from_world`` (N, 4, 4), NaN = unknown (such images are in no pair); ``cameras`` one an image, None = unknown
-    (a field of view is assumed). Pairs whose rays to the shared surface meet at more than ``max_angle_deg``, or whose
-    distances to it differ by more than ``max_scale``, match no more and are left out. ``slack_rad`` (N,): images see so
-    much more on every side, for poses that are not sure.
+    ``cam_from_world`` (N, 4, 4), NaN = unknown (such images are in no pair); ``cameras`` one for each image, None =
+    unknown (a field of view is assumed). Pairs whose rays to the shared surface meet at more than ``max_angle_deg``,
+    or whose distances to it differ by more than the factor ``max_scale``, no longer match and are left out.
+    ``slack_rad`` (N,): extension of the images on every side, for uncertain poses.
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if len(known) < 2 or not len(proxy):
@@ -139,7 +139,7 @@ def shared_surface(
 def visible_points(
     cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy, tuning: VisibleTuning
 ) -> Visibility:
-    """Which points of a proxy each image sees; of very many points a random part."""
+    """The points of a proxy that each image sees; of very many points a random sample."""
     centre = transforms.centre(cam_from_world)
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if not len(known) or not len(proxy):
@@ -167,7 +167,7 @@ def _eyes(
 
 
 def _by_owner(proxy: Proxy, images: np.ndarray, centre: np.ndarray) -> list[Proxy]:
-    """An assumed proxy in parts, each of the images of one neighbourhood: bounds memory."""
+    """An assumed proxy split by neighbourhoods of images, to bound memory."""
     order = images[np.asarray(cKDTree(centre, leafsize=16).indices)]
     owner = np.full(len(proxy), -1)
     owner[proxy.point] = proxy.image
@@ -177,7 +177,7 @@ def _by_owner(proxy: Proxy, images: np.ndarray, centre: np.ndarray) -> list[Prox
 
 @dataclass(frozen=True)
 class _Table:
-    """All sights as entries (E,) sorted by image; ``vote`` sums to one over an image that sees anything."""
+    """All observations as entries (E,) sorted by image; ``vote`` sums to one for an image that sees anything."""
 
     shape: tuple[int, int]
     image: np.ndarray
@@ -207,7 +207,7 @@ def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: Visi
 
 
 def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
-    """The points each image observes."""
+    """The points that each image observes."""
     order = np.argsort(proxy.image, kind="stable")
     image, point = proxy.image[order], proxy.point[order]
     low, high = np.searchsorted(image, images), np.searchsorted(image, images, side="right")
@@ -215,7 +215,7 @@ def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
 
 
 def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Proxy, Boxes]:
-    """A random part of the points, where images would see far more than is needed."""
+    """A random sample of the points, if images would see far more than needed."""
     boxes = Boxes(proxy)
     enough = float(np.clip(3_000_000 / len(eyes), *tuning.mean_visible))  # of all images together: bounds memory
     if proxy.assumed or len(proxy) <= enough:
@@ -226,13 +226,14 @@ def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Pro
     count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning)[0]) for k in sample])
     if count <= 1.2 * enough:
         return proxy, boxes
-    # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).
+    # At random: an even spread over the surface predicted worse on ``canal`` (textured near surfaces tie).
     proxy = proxy.keep(rng.random(len(proxy)) < enough / count)
     return proxy, Boxes(proxy)
 
 
 def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray, cells: int) -> np.ndarray:
-    """(E,) one vote a cell, shared by its points, all votes of an image together one; zero for entries without vote."""
+    """(E,) one vote for each cell, shared by its points; all votes of an image sum to one; zero for entries without
+    vote."""
     key = image.astype(np.int64) * cells + cell
     rows = np.flatnonzero(voter)
     _, at, count = np.unique(key[rows], return_inverse=True, return_counts=True)
@@ -243,7 +244,8 @@ def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray, cells: int) -
 
 
 class _Products:
-    """Sparse tables of the same entries with different values: of those that vote (images, points), of all turned."""
+    """Sparse tables of the same entries with different values: voting entries (images, points), and all entries
+    transposed."""
 
     def __init__(self, seen: _Table) -> None:
         self.shape = seen.shape
@@ -267,9 +269,9 @@ class _Products:
 
 
 def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.ndarray:
-    """Rows (5, K) i, j, share of i that j sees, cosine of the rays, log ratio of the distances; small shares left out.
+    """Rows (5, K) i, j, share of i that j sees, cosine of the rays, log ratio of the distances; without small shares.
 
-    Sparse products of the votes with what is seen; for the angle and the scale, weighted by rays and distances.
+    Sparse products of votes and visibility; for angle and scale weighted by rays and distances.
     """
     sample = _sampled(seen)
     ray = ((sample.points[sample.point] - centre[sample.image]) / sample.distance[:, None]).astype(np.float32)
@@ -287,7 +289,7 @@ def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.nda
             continue
         shared = all_.rows(seen.vote, *part) @ share_right
         met[shared.indices] = True
-        others = np.flatnonzero(met)  # few of a long survey: tables of all images would grow with its square
+        others = np.flatnonzero(met)  # few in a long survey: tables of all images would grow with its square
         met[others], place[others] = False, np.arange(len(others))
         share = _dense(shared, place, len(others))
         a, b = np.nonzero(share >= tuning.min_share)
@@ -304,7 +306,7 @@ def _dense(table: csr_array, place: np.ndarray, width: int) -> np.ndarray:
 
 
 def _sampled(seen: _Table) -> _Table:
-    """The sights of a random part of the points: mean angles need fewer than shares."""
+    """The observations of a random sample of the points: mean angles need fewer points than shares."""
     part = 400 * seen.shape[0] / max(len(seen.image), 1)
     if part >= 0.7 or np.any(seen.vote == 0):  # assumed points are few
         return seen
@@ -320,7 +322,8 @@ def _sampled(seen: _Table) -> _Table:
 
 
 def _undirected(rows: np.ndarray) -> Overlap:
-    """Rows (5, K) i, j, share, cosine, log ratio of directed pairs as pairs i < j: the direction that shares more."""
+    """Rows (5, K) i, j, share, cosine, log ratio of directed pairs as pairs i < j, with the direction that shares
+    more."""
     rows = rows[:, rows[0] != rows[1]]
     flip = rows[0] > rows[1]
     i, j = np.where(flip, rows[1], rows[0]).astype(int), np.where(flip, rows[0], rows[1]).astype(int)
@@ -347,7 +350,7 @@ def pair_share(
     range_m: float,
     tuning: CoarseTuning,
 ) -> np.ndarray:
-    """(K,) predicted overlap of a few given pairs by poses alone, at an assumed range; NaN where a pose is unknown.
+    """(K,) predicted overlap of a few given pairs from poses alone, at an assumed range; NaN where a pose is unknown.
 
     The same measure as ``shared_surface`` of an ``assumed_proxy``.
     """

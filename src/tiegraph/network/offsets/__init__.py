@@ -1,1 +1,2 @@
-"""Frame offsets between cameras and passes: previews on a lattice of frames, a surface over them, a path through it."""
+"""Frame offsets between cameras and passes: previews on a lattice of frames, an interpolated surface, a path through
+it."""

@@ -1,12 +1,12 @@
-"""What a couple of cameras reach where their frames share nothing: chance, and walls that repeat.
+"""The noise floor of preview matches: counts of unrelated frames, by chance or from repeated walls.
 
-Most frames of a long pass share nothing with a given other frame, so that this can be measured, and what speaks for a
-tie is only what stands above it. Simulated canal with walls that come again every 12 m: half of the previews of one
-camera in frames 50 m and more apart reach the count of a tie; without this every camera seemed to see the same for 60
-frames.
+Most frames of a long pass share nothing with a given other frame, so their counts can be measured, and only counts
+above them are evidence of a tie. Simulated canal with walls that repeat every 12 m: half of the previews of one
+camera in frames 50 m and more apart reach the count of a tie; without the noise floor every camera seemed to see the
+same for 60 frames.
 
-It is measured for every two cameras. Evidence counts above it, and only at those distances from the path at which two
-cameras tie all along it.
+It is measured for every pair of cameras. Evidence counts above it, and only at those distances from the path at which
+two cameras tie all along it.
 """
 
 import numpy as np
@@ -20,8 +20,8 @@ from tiegraph.network.tuning import Tuning
 def noise_floor(
     cameras: tuple[np.ndarray, np.ndarray], count: np.ndarray, shape: tuple[int, ...], min_matches: int, tuning: Tuning
 ) -> NoiseFloor:
-    """The level of every two cameras, (S, T) of them, by previews (K,) of frames that share nothing, of ``cameras``
-    c (K,) and d (K,)."""
+    """The noise floor of every pair of cameras (S, T), from previews (K,) of unrelated frames, of ``cameras`` c (K,)
+    and d (K,)."""
     low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
     value, key = np.clip(count, low, high), cameras[0] * shape[1] + cameras[1]
     number = np.bincount(key, minlength=shape[0] * shape[1])
@@ -34,12 +34,12 @@ def noise_floor(
 def noise_floor_within(
     p: Pass, allowed: np.ndarray, cache: MatchCache, min_matches: int, tuning: Tuning
 ) -> NoiseFloor | None:
-    """The level between frames of one pass far from each other, for cameras that are ``allowed`` (S, S); None for a
-    short pass."""
+    """The noise floor from frames of one pass far from each other, for cameras that are ``allowed`` (S, S); None for
+    a short pass."""
     if len(p) < tuning.offsets.background.long_frames:
         return None
     rng = np.random.default_rng(len(p))
-    # So far apart frames share nothing, also where the end of a pass is its beginning
+    # At this distance frames share nothing, even if the end of a pass is its beginning
     (least, most), samples = (0.4, 0.6), tuning.offsets.background.samples
     apart = rng.integers(int(least * len(p)), int(most * len(p)) + 1, samples)
     a = rng.integers(0, len(p) - apart)
@@ -56,7 +56,7 @@ def noise_floor_within(
 
 
 def noise_floor_away(scores: ScoreMatrix, beside: np.ndarray, min_matches: int, tuning: Tuning) -> NoiseFloor | None:
-    """The level of the measured nodes that are not ``beside`` (A, B) the path between two passes."""
+    """The noise floor from the measured nodes that are not ``beside`` (A, B) the path between two passes."""
     c, d, a, b = np.nonzero(np.isfinite(scores.inliers) & ~beside)
     if not len(c):
         return None
@@ -64,9 +64,10 @@ def noise_floor_away(scores: ScoreMatrix, beside: np.ndarray, min_matches: int, 
 
 
 def corridor(scores: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
-    """(S, T, A, B) bool: nodes as far from the ``path`` (A,) of two long passes as their cameras tie all along it.
+    """(S, T, A, B) bool: nodes at those distances from the ``path`` (A,) of two long passes at which their cameras
+    tie all along it.
 
-    What two cameras share changes slowly along a pass, so that all its frames together tell at which distances they
+    The overlap of two cameras changes slowly along a pass, so all its frames together show at which distances they
     tie; a repeated wall ties frames at any distance, but only some of them.
     """
     floor = scores.noise_floor
@@ -85,7 +86,7 @@ def corridor(scores: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning)
     ties = share >= tuning.offsets.background.band
     peak = np.argmax(share, axis=2)
     ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]
-    # Of each two cameras the run of distances that holds the best one.
+    # For each pair of cameras, the run of distances that contains the best one.
     upto = np.logical_and.accumulate(ties | ~ahead, axis=2) & ahead
     downto = np.logical_and.accumulate((ties | ~back)[..., ::-1], axis=2)[..., ::-1] & back
     run = (upto | downto) & ties

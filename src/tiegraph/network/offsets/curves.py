@@ -1,4 +1,4 @@
-"""What frame-offset voting gives: curves, pairs, and the helpers of its two modes (local and constant)."""
+"""The results of frame-offset voting: curves, pairs, and functions shared by its two modes (local and constant)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class OffsetCurve:
     """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
 
     offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether
-    the camera pair gave candidates at all.
+    the camera pair gave candidates.
     """
 
     pass_a: str
@@ -36,13 +36,13 @@ class OffsetCurve:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What a source of pairs proposes, and what people should know."""
+    """The pairs that a source proposes, and notes."""
 
     pairs: Pairs
     notes: tuple[str, ...] = ()
     curves: tuple[OffsetCurve, ...] = ()
-    apart: bool = False  # the images say that the poses of different passes do not stand in one world
-    stranger: str = ""  # the couple of passes, where it has no common view
+    apart: bool = False  # according to the images the poses of different passes are not in one world
+    stranger: str = ""  # the pair of passes, if it has no common view
 
     def __or__(self, other: "Proposal") -> "Proposal":
         return Proposal(
@@ -54,7 +54,8 @@ class Proposal:
 
 
 def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
-    """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
+    """(S, T) bool: camera pairs whose axes permit a match at the heading of q relative to p; all,
+    if that is unknown."""
     yaw = axes.yaw(scores, excess, tuning)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
@@ -69,7 +70,7 @@ def curves_of(
     tuning: CountsTuning,
     best: np.ndarray | None = None,
 ) -> tuple[OffsetCurve, ...]:
-    """One curve a camera pair; ``best`` (S, T) is the offset that was voted, where one was."""
+    """One curve for each camera pair; ``best`` (S, T) is the voted offset, if there is one."""
     p, q = scores.p, scores.q
     out = []
     for c, d in np.argwhere(scores.allowed):
@@ -102,7 +103,7 @@ def votes_of(
     tuning: CountsTuning,
     total: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (K,) and matches above chance at each, mean over the frames looked at (or their sum)."""
+    """Offsets (K,) and matches above chance at each, mean over the previewed frames (or their sum)."""
     inliers = scores.inliers[cameras]
     m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
     offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
@@ -115,7 +116,7 @@ def votes_of(
 
 
 def curves_csv(curves: Iterable[OffsetCurve]) -> str:
-    """CSV of the curves, an offset of two cameras a row."""
+    """CSV of the curves, one row for each offset of two cameras."""
     heads = ["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"]
     rows = (
         [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same", offset, f"{votes:.6g}",

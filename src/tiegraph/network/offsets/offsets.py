@@ -1,12 +1,12 @@
 """Source ``offsets``: which frame of a pass a camera shares with which frame of the same or another pass.
 
-Papers 000 (section c) and 001 (section b) vote, for every two cameras, on one constant frame offset and match a limited
-range around it: mode ``constant`` (``tiegraph.papers.meguro2024``). Mode ``local`` (default) follows the offset along
-the pass, because the speed of two passes is never equal: previews on a coarse lattice of frames, grown where they hit,
-smoothed and interpolated.
+Papers 000 (section c) and 001 (section b) vote, for every two cameras, on one constant frame offset and match a
+limited range around it: mode ``constant`` (``tiegraph.papers.meguro2024``). Mode ``local`` (default) follows the
+offset along the pass, because the speeds of two passes are never equal: previews on a coarse lattice of frames, grown
+where they tie, smoothed and interpolated.
 
-Two passes that hold the same pictures (copied, or written anew from one video) tie without any base. Files that are the
-same byte for byte never get here: scan leaves them out. Of others the previews tell: nothing has moved and nearly every
+Two passes with the same pictures (copied, or encoded again from one video) tie without any base. Identical files do
+not get here: scan leaves them out. Others are recognised by their previews: nothing has moved and nearly every
 feature is found again.
 """
 
@@ -36,20 +36,20 @@ from tiegraph.scene.sorting import evenly
 
 @dataclass(frozen=True)
 class _Survey:
-    """One finished score matrix: smoothed counts, direction, yaw of q against p."""
+    """One finished score matrix: smoothed counts, direction, yaw of q relative to p."""
 
     scores: ScoreMatrix
     smooth: np.ndarray
     reversed: bool
-    path: np.ndarray | None  # (A,) column node of each row, where evidence far from it does not count
-    reach: int  # nodes from the path within which it does
+    path: np.ndarray | None  # (A,) column node of each row; evidence far from it does not count
+    reach: int  # nodes from the path within which evidence counts
     notes: tuple[str, ...] = ()
-    complete: bool = True  # False: the budget of previews was spent before every hit was followed
+    complete: bool = True  # False: the budget of previews was spent before every tie was followed
 
 
 Estimate = Callable[[Pass, Pass, MatchCache, CandidatesSettings, Tuning], Proposal]
 OFFSETS: dict[str, Estimate] = {}
-"""Ways by name to estimate the offsets of each two passes by themselves, beside ``local`` of this module."""
+"""Named methods that estimate the offsets of each two passes separately, beside ``local`` of this module."""
 
 
 def estimate_offsets(
@@ -75,7 +75,7 @@ def _local_offsets(
     settings: CandidatesSettings,
     tuning: Tuning,
 ) -> list[Proposal]:
-    """Of each couple of passes, within a budget of previews."""
+    """Proposals for each pair of passes, within a budget of previews."""
     offsets, parts = tuning.offsets, []
     budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * images)
     strides = {id(p): _stride(p, cache, settings, tuning) for p in passes}
@@ -85,7 +85,8 @@ def _local_offsets(
         survey = _survey((p, q), (stride, offsets.window_nodes), cache, settings, tuning, len(cache) + share)
         while not survey.complete and 4 * stride < max(len(p), len(q)):
             stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
-            # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
+            # The same distance in frames from the path: otherwise pairs, and previews, would grow faster than the
+            # images.
             window = max(3, offsets.window_nodes * finest // stride)
             survey = _survey((p, q), (stride, window), cache, settings, tuning, len(cache) + share)
         local = _local(survey, settings, tuning)
@@ -94,7 +95,7 @@ def _local_offsets(
 
 
 def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> int:
-    """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same things."""
+    """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same surface."""
     reach = []
     starts = evenly(len(p), settings.sample_frames)
     noise_floor = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
@@ -118,7 +119,7 @@ def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tu
 def _usual(
     count: np.ndarray, camera: int, noise_floor: NoiseFloor | None, min_matches: int, tuning: CountsTuning
 ) -> float:
-    """What the previews (K,) of one camera at one distance reach, above what its unrelated frames do."""
+    """The mean count of previews (K,) of one camera at one distance, above its noise floor."""
     if noise_floor is None:
         return float(np.median(count))
     mean = np.clip(count, tuning.floor * min_matches, tuning.ceiling * min_matches).mean()
@@ -133,7 +134,7 @@ def _survey(
     tuning: Tuning,
     budget: int,
 ) -> _Survey:
-    """Seed the score matrix, then grow it from every hit until nothing new ties or the budget of previews is spent.
+    """Seed the score matrix, then grow it from every tie until nothing new ties or the budget of previews is spent.
 
     ``grid``: stride in frames, and nodes from the path of long passes within which evidence counts.
     """
@@ -153,7 +154,7 @@ def _survey(
         if not len(frontier[0]):
             break
         if len(cache) + len(frontier[0]) > budget:
-            notes = (f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed",)
+            notes = (f"{p.name} - {q.name}: the budget of previews was spent before every tie was followed",)
             break
         touched = scores.smooth_again(smooth, scores.measure(frontier, cache), settings.min_matches, tuning)
     return _Survey(
@@ -162,8 +163,8 @@ def _survey(
 
 
 def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
-    """(A, B) bool: nodes within reach of the path, or all without one. What a long pass shares with itself or another
-    elsewhere is a loop: repeated walls look the same, so it takes more than a lattice to believe it (``retrieval``)."""
+    """(A, B) bool: nodes within reach of the path, or all without one. Further overlap of a long pass with itself or
+    another is a loop: because repeated walls look the same, a lattice is not enough to confirm it (``retrieval``)."""
     if path is None:
         return np.ones((len(scores.rows), len(scores.columns)), bool)
     return np.abs(np.arange(len(scores.columns)) - path[:, None]) <= reach
@@ -176,7 +177,7 @@ def _upper(scores: ScoreMatrix) -> np.ndarray:
 
 
 def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> ScoreMatrix:
-    """Sampled frames against the frames around them, for every two cameras that the axes permit."""
+    """Sampled frames with the frames around them, for every two cameras that the axes permit."""
     allowed = allowed_within(p.rig, settings.axes_deg)
     noise_floor = noise_floor_within(p, allowed, cache, settings.min_matches, tuning)
     scores = score_matrix(p, p, stride, allowed, tuning.offsets.scores, noise_floor)
@@ -218,9 +219,10 @@ def _seed_across(
 
 
 def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
-    """(A,) column node of each row on the strongest path through what the whole rig shares above the rest of the grid.
+    """(A,) column node of each row on the strongest path through the overlap of the whole rig above the rest of the
+    grid.
 
-    Most frames of two long passes share nothing: their median is what chance and repeated walls give.
+    Most frames of two long passes share nothing: their median is the level of chance and repeated walls.
     """
     low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
     known = np.isfinite(scores.inliers)
@@ -230,12 +232,12 @@ def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) ->
     columns = np.flatnonzero(known.any(axis=(0, 1, 2)))
     grid = mean[np.ix_(rows, columns)]
     evidence = np.maximum(grid - np.median(grid), 0)
-    node = best_line(evidence, 0.02 * float(evidence.max(initial=0)))  # a lone peak does not catch it
+    node = best_line(evidence, 0.02 * float(evidence.max(initial=0)))  # a single peak does not attract it
     return np.interp(np.arange(len(scores.rows)), rows, columns[node])
 
 
 def _path(weight: np.ndarray) -> np.ndarray | None:
-    """(A,) column node that a row of p shares most with, interpolated between the rows that have evidence."""
+    """(A,) column node with which a row of p shares most, interpolated between the rows with evidence."""
     rows = np.flatnonzero(weight.sum(axis=1) > 0)
     if not len(rows):
         return None
@@ -245,7 +247,7 @@ def _path(weight: np.ndarray) -> np.ndarray | None:
 
 
 def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Proposal:
-    """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
+    """Pairs kept by the interpolated surface, and measured pairs that were not kept, with the reason."""
     scores, least, counts = survey.scores, settings.min_matches, tuning.counts
     smooth = scores.confirmed(survey.smooth, least, tuning)
     smooth = axes.without_chance(scores, smooth, least, tuning)
@@ -261,7 +263,7 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Pro
         there &= np.abs(n - beside) <= survey.reach * float(np.median(np.diff(scores.columns)))
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
     seen = np.isfinite(scores.inliers)
-    # A pair that is strong by itself is kept whatever its neighbours say.
+    # A strong pair is kept whatever its neighbours show.
     strong = np.nan_to_num(scores.inliers) >= scores.sure(least, counts)
     if near is not None:
         strong &= near
@@ -276,7 +278,7 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Pro
 
 
 def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
-    """How two passes lie to each other as a note, or their names if they have nothing in common."""
+    """How two passes relate to each other as a note, or their names if they have nothing in common."""
     if scores.same:
         return (), ""
     excess = axes.above(smooth, min_matches)
@@ -289,7 +291,7 @@ def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Rig
 def _without_copies(
     result: Proposal, scores: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
 ) -> Proposal:
-    """Pairs of one picture twice are dropped: they match best of all and have no base."""
+    """Pairs of the same picture are dropped: they match best of all and have no base."""
     copies = find_copies(scores, cache, settings.min_matches, tuning)
     if copies is None:
         return result
@@ -300,10 +302,11 @@ def _without_copies(
 
 
 def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
-    """Whether a preview match is of one picture twice. A camera that stood still looks the same, and has no base."""
+    """Whether a preview match is of the same picture. Pictures of a camera at rest look like that too, and have no
+    base."""
     if result.inliers < tuning.strong * min_matches or result.shift is None or not len(result.matches):
         return False
-    # No look at the rotation: the essential matrix of points that do not move is arbitrary.
+    # The rotation is not tested: the essential matrix of points that do not move is arbitrary.
     features = 1 + int(np.max(result.matches))  # the last feature that is found again
     still = np.linalg.norm(result.shift) <= 0.003  # of the image size
     return bool(still and result.inliers >= tuning.found_again * features)
@@ -312,7 +315,7 @@ def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
 def find_copies(
     scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning
 ) -> tuple[np.ndarray, np.ndarray, str] | None:
-    """Image pairs i, j (K,) of the same picture in two passes of one rig, and what to say; None within a pass and where
+    """Image pairs i, j (K,) of the same pictures in two passes of one rig, and a note; None within a pass, and if
     some frames of the camera that matches itself best show none, at no offset and at those of its best nodes."""
     p, q = scores.p, scores.q
     if scores.same or len(p.images) != len(q.images):
@@ -332,8 +335,11 @@ def find_copies(
             i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
             same = _copies(i, j, cache, min_matches, tuning)
             count, total = int(same.sum()), int((q.images >= 0).sum())
-            note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; pairs of "
-            return i[same], j[same], note + "them carry no base and are dropped: leave one of the passes out"
+            note = (
+                f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; their pairs "
+                "have no "
+            )
+            return i[same], j[same], note + "base and are dropped: leave out one of the passes"
     return None
 
 

@@ -1,5 +1,5 @@
-"""Pictures of the network as PNG: correspondence matrix, offset curves, sections and what the up
-camera showed along the passes; the map by name from here too.
+"""Pictures of the network as PNG: correspondence matrix, offset curves, sections and the cues of the up camera along
+the passes, and the map.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
 __all__ = ["curves_png", "map_png", "matrix_png", "sections_png", "weak_pairs"]
-MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
+MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by the most important entry of each cell
 MAX_PANELS = 60
 NEVER = "#ffffff"
 _PANEL_IN = 2.2
@@ -44,7 +44,7 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     present = [r for k, r in enumerate(REASONS) if np.any(pairs.dropped == k)]
     handles = [Patch(facecolor=REASON_LOOKS[r][1], label=f"{REASON_LOOKS[r][0]}: {_count(pairs, r)}") for r in present]
     never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
-    handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not looked at: {never}"))
+    handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not matched: {never}"))
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9
     )
@@ -60,13 +60,13 @@ def _count(pairs: Pairs, reason: str) -> int:
 
 
 def _matrix(pairs: Pairs, order: np.ndarray, images: int) -> tuple[np.ndarray, int]:
-    """(M, M) u1 codes (0 = never, 1 + reason) in drawing order, and how many images one cell stands for."""
+    """(M, M) u1 codes (0 = never, 1 + reason) in drawing order, and the number of images of one cell."""
     step = max(1, -(-images // MATRIX_CELLS))
     place = np.empty(images, int)
     place[order] = np.arange(images)
     size = -(-images // step)
     a, b = place[pairs.i] // step, place[pairs.j] // step
-    # Kept pairs are drawn last, so that they win over what was dropped in the same cell.
+    # Kept pairs are drawn last, so that they cover dropped pairs in the same cell.
     rows = np.argsort(pairs.dropped == 0, kind="stable")
     cells = np.zeros((size, size), np.uint8)
     cells[a[rows], b[rows]] = cells[b[rows], a[rows]] = 1 + pairs.dropped[rows]
@@ -105,7 +105,7 @@ def curves_png(curves: Sequence[OffsetCurve]) -> bytes:
     """Votes against frame offset, one panel for each camera pair (papers 000, 001)."""
     curves = list(curves)
     hidden = max(0, len(curves) - MAX_PANELS)
-    # Of too many, those with the most votes are shown.
+    # Of too many curves, those with the most votes are shown.
     by_votes = sorted(range(len(curves)), key=lambda k: -float(curves[k].votes.max(initial=0)))
     curves = [curves[k] for k in sorted(by_votes[:MAX_PANELS])]
     groups = list(dict.fromkeys((c.pass_a, c.pass_b) for c in curves))
@@ -165,7 +165,7 @@ def _root(values: np.ndarray) -> np.ndarray:
 
 
 def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
-    """One panel a cue: its values by frame, the threshold of each pass, the sections as coloured bands."""
+    """One panel for each cue: its values by frame, the threshold of each pass, the sections as coloured bands."""
     frames = np.lexsort((scene.sequence_index, scene.sequence))
     frames = frames[np.any([np.isfinite(c.values[frames]) for c in cues], axis=0)]
     height = 0.7 + _PANEL_IN * len(cues) + 0.5
@@ -180,7 +180,7 @@ def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue])
     if panel is not None:
         panel.set_xlabel("frame of the pass", fontsize=9)
     figure.text(0.03, 1 - 0.28 / height, "Bridge and open sections by the up camera", fontsize=12)
-    key = "brown: bridge; blue: open sky; dashed: threshold of the pass (none: the cue did not decide)"
+    key = "brown: bridge; blue: open sky; dashed: threshold of the pass (none: the cue was not used)"
     figure.text(0.03, 1 - 0.5 / height, key, fontsize=8.5, color="#555555")
     return png(figure)
 
@@ -224,7 +224,7 @@ def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
 
 
 def _ticks(axes: Axes, scene: Scene, frames: np.ndarray, last: bool) -> None:
-    """Whole numbers of frames, counted anew in every pass; the passes' names inside the lowest panel."""
+    """Whole numbers of frames, counted separately in every pass; the passes' names inside the lowest panel."""
     sequence = scene.sequence[frames]
     start = np.array([int(np.argmax(sequence == t)) for t in sequence]) if len(frames) else np.zeros(0, int)
 

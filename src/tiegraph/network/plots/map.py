@@ -28,7 +28,7 @@ def grouped(number: float) -> str:
 
 MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
 MAX_LINES = 2500  # the strongest of each kind
-_DENSE_LIMIT = 500  # up to here by LAPACK: where all tie to all alike, ARPACK draws vectors of its own
+_DENSE_LIMIT = 500  # up to here by LAPACK: if all nodes tie equally, ARPACK's vectors are arbitrary
 _SPECTRAL_LIMIT = 3000  # loose images laid out by their ties; beyond, on a circle
 _BULGE = 0.28  # height of a short arc, as a share of its chord
 _HIGHEST = 0.11  # height of the longest arc, as a share of the map's longer side
@@ -40,7 +40,7 @@ _PASSES = ("#222222", "#cc79a7", "#7a5c99", "#8a6d1f", "#56b4e9", "#8b949e")
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Frames joined to M nodes: node of each frame (F,) (-1 = not drawn), place (M, 2), pass (M,), frames a node."""
+    """Frames joined to M nodes: node of each frame (F,) (-1 = not drawn), place (M, 2), pass (M,), frames of a node."""
 
     of_frame: np.ndarray
     place: np.ndarray
@@ -65,11 +65,11 @@ def map_png(
     weak: np.ndarray | Sequence[tuple[int, int]] | None = None,
     unit: str = "m",
 ) -> bytes:
-    """Plan of the kept pairs, one panel a kind of tie: same camera, across cameras, across passes.
+    """Map of the kept pairs, one panel for each kind of tie: same camera, across cameras, across passes.
 
-    ``positions`` (F, 2 or 3) of the frames, x to the right and y up, NaN = unknown (then between its neighbours on the
-    pass); None or all NaN: a layout by sequence or by ties, which the picture says. ``weak`` (K, 2): image pairs to be
-    drawn in red. ``unit`` of the positions.
+    ``positions`` (F, 2 or 3) of the frames, x to the right and y up, NaN = unknown (then between its neighbours on
+    the pass); None or all NaN: a layout by sequence or by ties, as the picture states. ``weak`` (K, 2): image pairs
+    to be drawn in red. ``unit`` of the positions.
     """
     kept = pairs.kept()
     if np.any(pairs.inliers >= 0):
@@ -108,7 +108,7 @@ def weak_pairs(table: dict, scene: Scene) -> np.ndarray:
 
 
 def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np.ndarray, str]:
-    """(F, 2) places of the frames, and what must be said of them."""
+    """(F, 2) places of the frames, and a remark on them."""
     if positions is not None and np.isfinite(np.asarray(positions, float)[:, :2]).all(axis=1).any():
         return between_neighbours(np.asarray(positions, float)[:, :2], scene), ""
     if (scene.sequence >= 0).any():
@@ -118,21 +118,26 @@ def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np
             own = scene.in_order(lane == t)
             rank[own] = np.arange(len(own))
         gap = 0.25 * max(1.0, float(rank.max()))
-        text = "no positions: frames stand in the order of their passes, one row a pass; lengths mean nothing"
+        text = (
+            "no positions: frames are drawn in the order of their passes, one row for each pass; lengths have no "
+            "meaning"
+        )
         return np.stack([rank, -gap * lane], axis=1), text
-    return _by_ties(kept, scene), "no positions: photographs stand near those they tie to; lengths mean nothing"
+    return _by_ties(kept, scene), (
+        "no positions: photographs are drawn near those they tie to; lengths have no meaning"
+    )
 
 
 def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
-    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' ties, by
-    their strength."""
+    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' weighted
+    ties."""
     n = scene.frames
     a, b = scene.frame[kept.i], scene.frame[kept.j]
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     if not 4 < n <= _SPECTRAL_LIMIT or not len(kept):
         return circle
-    # A faint tie of all to all keeps separate parts apart and the problem well posed.
+    # A faint tie between all nodes keeps separate components apart and the problem well posed.
     strength = np.where(kept.inliers > 0, kept.inliers, kept.score).astype(float)  # verified, else of previews
     usual = max(float(np.nanmean(strength)), 1.0) if np.isfinite(strength).any() else 1.0
     graph = coo_array((np.nan_to_num(strength / usual, nan=1.0), (a, b)), shape=(n, n)).tocsr()
@@ -141,8 +146,8 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
         place = eigh(dense, subset_by_index=[1, 2])[1]
     else:
         place = eigsh(dense, k=3, sigma=-0.01, v0=np.random.default_rng(0).random(n))[1][:, 1:3]
-    place = place / root[:, None]  # or frames with few ties would all lie in the middle
-    # Ranks on each axis, half way: clusters of look-alikes would else fall on one dot.
+    place = place / root[:, None]  # otherwise frames with few ties would all be in the middle
+    # Half way to the ranks on each axis: otherwise clusters of look-alikes would fall on one dot.
     rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0) / n - 0.5
     return 0.5 * place / max(float(np.abs(place).max()), 1e-9) + 0.5 * rank
 
@@ -228,7 +233,7 @@ class _Page:
         top = _HEAD_IN + 0.25 + (0 if self.across else n * (self.height + 0.3))
         box = ((left + 0.08) / w, 1 - (top + self.height) / h, (self.width - 0.16) / w, self.height / h)
         axes = self.figure.add_axes(box)
-        # The panel keeps its shape: the map grows to it, so that lengths are equal both ways.
+        # The panel keeps its shape: the map is enlarged to it, so that lengths are equal in both directions.
         span, middle = self.high - self.low, 0.5 * (self.low + self.high)
         scale = max(span[0] / (self.width - 0.16), span[1] / self.height)
         axes.set_xlim(middle[0] - 0.5 * scale * (self.width - 0.16), middle[0] + 0.5 * scale * (self.width - 0.16))
@@ -253,7 +258,7 @@ def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str) -> None:
     order = np.argsort(ties.count, kind="stable")
     share = ties.count[order] / max(int(ties.count.max()), 1)
     curves = _curves(nodes, ties.a[order], ties.b[order], 0.0 if kind in ("across passes", "photographs") else _BULGE)
-    # The more lines, the fainter each: the ink on the page stays about the same, and thick bundles stand out.
+    # The more lines, the fainter each: the total ink stays about the same, and thick bundles stand out.
     ink = np.clip(9 / np.sqrt(len(order)), 0.12, 0.85)
     alpha = np.clip(ink * (0.12 + 0.88 * share**1.5), 0.04, 0.9)
     look = {"color": KINDS[kind], "linewidths": 0.4 + 1.4 * share, "alpha": alpha, "zorder": 2}
@@ -261,7 +266,7 @@ def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str) -> None:
 
 
 def _curves(nodes: _Nodes, a: np.ndarray, b: np.ndarray, bulge: float) -> np.ndarray:
-    """(K, 13, 2) arcs from nodes a to nodes b, to the left of the way for a positive bulge; straight for zero."""
+    """(K, 13, 2) arcs from nodes a to nodes b, to the left for a positive bulge; straight for zero."""
     start, end = nodes.place[a], nodes.place[b]
     chord = end - start
     length = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)

@@ -1,1 +1,1 @@
-"""Pairs from prior poses (paper 003), and whether previews agree with them."""
+"""Pairs from prior poses (paper 003), and their check by previews."""

@@ -1,21 +1,20 @@
-"""Whether a prior may be believed: a sample of pairs it proposes and refuses is previewed, so that a wrong prior (other
-axes, inverted poses, mirrored, shifted in time) is noticed and loses no pair silently.
+"""Check of a prior: a sample of pairs that it proposes and refuses is previewed, so that a wrong prior (other axes,
+inverted poses, mirrored, shifted in time) is detected and loses no pair silently.
 
-Of each kind of pairs (near in sequence, same pass, other pass, loose) 40 that the prior proposes and 40 that it
-refuses are previewed. A prior whose refused pairs tie more than 0.6 times as often as the proposed ones, or not
-significantly less, is not believed: it then refuses nothing, and previews and order find the pairs as if there were
-no prior. What a prior hardly proposes (passes whose trajectories were put far apart) must tie no more often than what
-it refuses elsewhere. Where only the pairs of other passes fail, each trajectory is right by itself and only its place
-among the others is not: it then counts within its own pass alone, as odometry does, and previews find the pairs
-between the passes.
+For each kind of pairs (near in sequence, same pass, other pass, loose) 40 proposed and 40 refused pairs are
+previewed. A prior whose refused pairs tie more than 0.6 times as often as the proposed ones, or not significantly
+less, is rejected: it then refuses nothing, and previews and order find the pairs as if there was no prior. Kinds with
+hardly any proposed pair (passes whose trajectories are far apart) must tie no more often than refused pairs of other
+kinds. If only the pairs of different passes fail, each trajectory is correct by itself but not its place among the
+others: it is then used within its own pass only, as odometry is, and previews find the pairs between the passes.
 
-Nor is a prior believed if another reading of it (other axes, inverted, mirrored, some frames early or late) predicts
-the same previews better. Two tests must agree for that. The predicted overlap correlates better with the number of
-matches (rank correlation, by 0.04, and 0.45 in all). It also separates the pairs that tie from the others better (area
-under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for whatever falls
-with the distance (KITTI: 0.85 for axes that are wrong, 0.39 for the right ones). The reading is named with its remedy,
-and whether it may be chance (Student's t over the pairs' parts in the correlations). The assumed range is part of this:
-at a tenth any reading that compresses the path is better.
+A prior is also rejected if another reading of it (other axes, inverted, mirrored, some frames early or late) predicts
+the same previews better. Two tests must agree on that. The predicted overlap must correlate better with the number of
+matches (rank correlation, by 0.04, and 0.45 in total). It must also separate the pairs that tie from the others
+better (area under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for
+anything that falls with the distance (KITTI: 0.85 for wrong axes, 0.39 for the right ones). The note names the
+reading and its remedy, and whether it may be chance (Student's t over the pairs' parts in the correlations). The
+assumed range matters: at a tenth of it any reading that compresses the path is better.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,8 +35,8 @@ from tiegraph.scene.sorting import Columns
 
 KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
 OTHER_PASS = 2
-# What axes the trajectory may use instead of the camera's x right, y down, z forward: rig axes (columns) in these, and
-# what a rig file calls them
+# Axes that the trajectory may use instead of the camera's x right, y down, z forward: rig axes (columns) in these,
+# and their name in a rig file
 _AXES = {
     "its axes are x forward, y left, z up (vehicle, ROS)": (np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), "flu"),
     "its axes are x forward, y right, z down (NED)": (np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), "frd"),
@@ -47,10 +46,11 @@ _AXES = {
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """How good a prior is, by previews: ``good``; where it is not, ``apart`` says that it is good within each pass.
+    """The quality of a prior according to previews: ``good``; if not, ``apart`` says that it is good within each
+    pass.
 
-    ``fit`` = rank correlation of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading
-    that fits better, "" = none.
+    ``fit`` = rank correlation of predicted overlap and preview matches (NaN = unknown); ``better``: the reading that
+    fits better, "" = none.
     """
 
     good: bool
@@ -68,7 +68,8 @@ def checked_pose_pairs(
     tuning: Tuning,
 ) -> PoseResult:
     """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``world``), its
-    proposals stay, and so do all sampled pairs that tie. One that is bad between passes alone says nothing of them."""
+    proposals are kept, and so are all sampled pairs that tie. A prior that is bad only between passes is not used
+    there."""
     result = pose_pairs(scene, passes, settings, tuning)
     if not len(result.pairs):
         return result
@@ -97,9 +98,10 @@ def check_prior(
     settings: CandidatesSettings,
     tuning: Tuning,
 ) -> PriorCheck:
-    """Preview a sample of what a prior proposes and refuses, and compare with other readings of the same prior."""
+    """Preview a sample of the pairs that a prior proposes and refuses, and compare with other readings of the same
+    prior."""
     sample = _sample(scene, result.pairs, cache, tuning.counts.sure * settings.min_matches, tuning.poses.prior)
-    # By kind: pairs proposed, those of them that tie, pairs refused, those of them that tie
+    # By kind: pairs proposed, number that tie, pairs refused, number that tie
     sides = (sample.proposed, sample.proposed & sample.tied, ~sample.proposed, ~sample.proposed & sample.tied)
     table = np.stack([np.bincount(sample.kind[side], minlength=len(KINDS)) for side in sides], axis=1)
     there = np.flatnonzero(table.any(axis=1))
@@ -110,9 +112,9 @@ def check_prior(
     if apart:
         names = ", ".join(scene.sequences[k] for k in np.unique(scene.sequence))
         said = (
-            f"the poses of the passes ({names}) do not stand in one world: images of different passes tie where their "
-            "poses say that they share nothing. They count within each pass only, as odometry that starts anew does; "
-            "previews find the pairs between the passes"
+            f"the poses of the passes ({names}) are not in one world: images of different passes tie although they "
+            "share nothing according to their poses. The poses are used within each pass only, as those of separate "
+            "odometry; previews find the pairs between the passes"
         )
         notes = (notes[0], said)
     good = not bad and not better.names
@@ -132,8 +134,8 @@ class _Sample(Columns):
 
 
 def _sample(scene: Scene, pairs: Pairs, cache: MatchCache, sure: float, tuning: PriorTuning) -> _Sample:
-    """Some pairs of each kind. Refused are also pairs too far apart to be listed, drawn from all pairs of images with a
-    prior position."""
+    """Some pairs of each kind. Refused pairs include pairs too far apart to be listed, drawn from all pairs of images
+    with a prior position."""
     rng = np.random.default_rng(0)
     world = scene.pose_world()[scene.frame]
     placed = np.flatnonzero(world >= 0)
@@ -156,10 +158,10 @@ def _sample(scene: Scene, pairs: Pairs, cache: MatchCache, sure: float, tuning: 
 
 
 def _tells(counts: np.ndarray, others: np.ndarray, tuning: PriorTuning) -> bool:
-    """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes;
-    where it proposes hardly any, not more often than what it refuses of the ``others``. Both (4,) as in the table.
+    """Whether a prior is informative for a kind of pairs: refused pairs tie much more rarely than proposed ones; if
+    hardly any is proposed, not more often than refused pairs of the ``others``. Both (4,) as in the table.
 
-    With too few pairs or ties nothing speaks against it.
+    With too few pairs or ties the answer is yes.
     """
     proposed, tied, refused, lost = counts.tolist()
     if refused < tuning.enough or tied + lost < tuning.few_ties:
@@ -172,7 +174,7 @@ def _tells(counts: np.ndarray, others: np.ndarray, tuning: PriorTuning) -> bool:
 
 
 def _significance(first: tuple[int, int], second: tuple[int, int]) -> float:
-    """By how many standard deviations the share of ties, (ties, pairs), is larger in the first than in the second."""
+    """Difference of the shares of ties, (ties, pairs), first minus second, in standard deviations."""
     (a, of_a), (b, of_b) = first, second
     mean = (a + b) / max(of_a + of_b, 1)
     error = np.sqrt(mean * (1 - mean) * (1 / of_a + 1 / max(of_b, 1)))
@@ -184,7 +186,7 @@ def _significance(first: tuple[int, int], second: tuple[int, int]) -> float:
 
 @dataclass(frozen=True)
 class _Better:
-    """Readings of a prior that fit the previews better; ``sure``: chance would hardly do that."""
+    """Readings of a prior that fit the previews better; ``sure``: chance is unlikely."""
 
     names: tuple[str, ...] = ()
     fit: float = float("nan")
@@ -194,7 +196,7 @@ class _Better:
 def _readings(
     scene: Scene, passes: Sequence[Pass], sample: _Sample, range_m: float, tuning: Tuning
 ) -> tuple[float, _Better]:
-    """How well the prior as given predicts the previews, and the reading that does it better."""
+    """The agreement of the prior as given with the previews, and the reading with a better one."""
     prior = tuning.poses.prior
     given = _share(scene, passes, scene.world_from_rig, sample, range_m, tuning)
     before = _parts(given, sample, prior.enough)
@@ -217,7 +219,7 @@ def _readings(
 
 
 def _possible(scene: Scene, passes: Sequence[Pass], shifts: Sequence[int]) -> Iterator[tuple[str, np.ndarray]]:
-    """The likely mistakes, by what to say about them, and the poses (F, 4, 4) without them."""
+    """The likely mistakes: their description, and the poses (F, 4, 4) without them."""
     poses, oriented = np.array(scene.world_from_rig), scene.has_orientations()
     if oriented:
         known = np.asarray(np.isfinite(poses[:, :3]).all(axis=(1, 2)))
@@ -229,7 +231,7 @@ def _possible(scene: Scene, passes: Sequence[Pass], shifts: Sequence[int]) -> It
             yield name, turned
     for k, letter in enumerate("xyz" if oriented else "xy"):
         mirrored = poses.copy()
-        mirrored[:, k, 3] *= -1  # positions alone: where rotations are mirrored too, the same pairs overlap
+        mirrored[:, k, 3] *= -1  # positions only: if rotations are mirrored too, the same pairs overlap
         yield f"its positions are mirrored in {letter}", mirrored
     for step in shifts:
         name = f"it is {abs(step)} frames too {'early' if step < 0 else 'late'}"
@@ -237,7 +239,7 @@ def _possible(scene: Scene, passes: Sequence[Pass], shifts: Sequence[int]) -> It
 
 
 def _shifted(poses: np.ndarray, passes: Sequence[np.ndarray], step: int) -> np.ndarray:
-    """Each frame takes the pose ``step`` frames later; beyond the ends of a pass it goes on as it did there."""
+    """Each frame takes the pose ``step`` frames later; beyond the ends of a pass the last motion continues."""
     out = poses.copy()
     for frames in passes:
         at, own = np.arange(len(frames)) + step, poses[frames]
@@ -260,7 +262,8 @@ def _share(
 
 
 def _parts(share: np.ndarray, sample: _Sample, enough: int) -> list[np.ndarray]:
-    """What each pair adds to the rank correlation of predicted overlap and preview matches, by kind, with enough."""
+    """The contribution of each pair to the rank correlation of predicted overlap and preview matches, by kind, with
+    enough pairs."""
     from scipy.stats import rankdata  # a second to load
 
     def ranks(values: np.ndarray) -> np.ndarray:
@@ -278,8 +281,8 @@ def _fit(parts: list[np.ndarray]) -> float:
 
 
 def _area(share: np.ndarray, sample: _Sample, few: int) -> float:
-    """Chance that a pair that ties has a larger predicted overlap than one that does not (area under the ROC curve),
-    mean over the kinds; NaN = too few to say."""
+    """Probability that a pair that ties has a larger predicted overlap than one that does not (area under the ROC
+    curve), mean over the kinds; NaN = too few pairs."""
     from scipy.stats import mannwhitneyu  # a second to load
 
     found = []
@@ -292,7 +295,7 @@ def _area(share: np.ndarray, sample: _Sample, few: int) -> float:
 
 
 def _notes(table: np.ndarray, kinds: list[str], bad: list[str], fit: float, better: _Better) -> tuple[str, ...]:
-    """What is said; ``table`` (K, 4) of the ``kinds`` that there are."""
+    """The notes; ``table`` (K, 4) of the ``kinds`` present."""
     if not len(table):
         return ()
     rows = "; ".join(f"{name}: {pt} of {p} and {rt} of {r}" for name, (p, pt, r, rt) in zip(kinds, table.tolist()))
@@ -300,17 +303,18 @@ def _notes(table: np.ndarray, kinds: list[str], bad: list[str], fit: float, bett
     if better.names:
         doubt, chance = ("looks", RARELY) if better.sure else ("may be", "which may be chance")
         notes.append(
-            f"the prior {doubt} wrong: {' or '.join(better.names)}. Read so, its predicted overlap and the preview "
-            f"matches correlate by {better.fit:.2f}, as given by {fit:.2f}, {chance}. {_remedy(better.names)}"
+            f"the prior {doubt} wrong: {' or '.join(better.names)}. With that reading its predicted overlap and the "
+            f"preview matches have a correlation of {better.fit:.2f}, as given of {fit:.2f}, {chance}. "
+            f"{_remedy(better.names)}"
         )
     if bad or better.names:
         where = f" ({', '.join(bad)}: the pairs it refuses tie about as often as those it proposes)" if bad else ""
-        notes.append(f"the prior is not believed{where}: it refuses nothing, previews and order find the pairs")
+        notes.append(f"the prior is not used{where}: it refuses no pair, previews and order find the pairs")
     return tuple(notes)
 
 
 def _remedy(names: Sequence[str]) -> str:
-    """What a user can do about readings that fit better."""
+    """The remedy for readings that fit better."""
     code = next((_AXES[n][1] for n in names if n in _AXES and _AXES[n][1]), "")
     if not code:
         return "Check the trajectory"

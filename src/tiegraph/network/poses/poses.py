@@ -1,8 +1,8 @@
 """Source ``poses``: pairs from prior positions and orientations by distance, line of sight and baseline (paper 003).
 
 Paper 003 tests the distance between cameras, the line of sight and the length of the base. Here the line of sight is
-the shared visible surface (``visible``) of points at an assumed range, and a prior refuses only what it knows: frames
-whose places are less certain than the test needs are not refused by it.
+the shared visible surface (``visible``) of points at an assumed range, and a prior refuses only what it determines:
+frames whose positions are less accurate than the test needs are not refused.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,13 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class PoseResult:
-    """Pairs of the source, which frames its poses compare, what people should know, and the assumed range."""
+    """Pairs of the source, the frames that its poses compare, notes, and the assumed range."""
 
     pairs: Pairs
     world: np.ndarray  # (F,) i4: frames of one number were compared; -1 = no usable prior
     notes: tuple[str, ...]
     range_m: float = float("nan")
-    apart: bool = False  # the images say that the poses of different passes do not stand in one world
+    apart: bool = False  # according to the images the poses of different passes are not in one world
 
     @property
     def without(self) -> np.ndarray:
@@ -41,11 +41,11 @@ class PoseResult:
 
 @dataclass(frozen=True)
 class Views:
-    """Prior views of N images: where they are, where they look, and how far they may be off.
+    """Prior views of N images: their positions, axes, and accuracy.
 
-    ``pose`` (N, 4, 4) world_from_sensor, rotation NaN = unknown; ``trusted`` (N,): rotation measured, and not taken
-    from the track; ``sigma_m`` (N,) of the position; ``path_m`` (N,) length of the trajectory up to there, NaN = none;
-    ``world`` (N,): poses of one number may be compared, -1 = no position.
+    ``pose`` (N, 4, 4) world_from_sensor, rotation NaN = unknown; ``trusted`` (N,): rotation measured, not derived
+    from the track; ``sigma_m`` (N,) of the position; ``path_m`` (N,) length of the trajectory up to there, NaN =
+    none; ``world`` (N,): poses with the same number may be compared, -1 = no position.
     """
 
     pose: np.ndarray
@@ -55,7 +55,7 @@ class Views:
     world: np.ndarray
 
     def centre(self) -> np.ndarray:
-        """(N, 3) projection centres; of the frame where the extrinsics are unknown."""
+        """(N, 3) projection centres; those of the frame where the extrinsics are unknown."""
         return self.pose[:, :3, 3]
 
     def axis(self) -> np.ndarray:
@@ -64,11 +64,11 @@ class Views:
 
 
 def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: CandidatesSettings, tuning: Tuning) -> PoseResult:
-    """Pairs of images by their prior poses; those that a test refused carry its reason.
+    """Pairs of images by their prior poses; refused pairs carry the reason of the test.
 
     Distance (reason ``distance``), angle between optical axes (``axes``), too short a base of one camera
-    (``baseline``), no shared surface (``sight``) or too little (``overlap``). The surface is
-    points at an assumed range. Tests that need what is unknown are left out.
+    (``baseline``), no shared surface (``sight``) or too little (``overlap``). The surface consists of points at an
+    assumed range. Tests with unknown inputs are omitted.
     """
     with_prior = np.all(np.isfinite(scene.world_from_rig[:, :3, 3]), axis=1)
     world = scene.pose_world()
@@ -101,8 +101,8 @@ def _notes(
         )
     if headings.any():
         notes.append(
-            f"poses: the heading of {int(headings.sum())} frames comes from the track of their positions; "
-            "lines of sight are not tested there, only angles between axes"
+            f"poses: the heading of {int(headings.sum())} frames is derived from their positions; only angles between "
+            "axes are tested there, not lines of sight"
         )
     if without.any():
         notes.append(f"poses: {int(without.sum())} of {scene.frames} frames have no prior position")
@@ -110,11 +110,11 @@ def _notes(
 
 
 def assumed_range(scene: Scene, passes: Sequence[Pass], tuning: PosesTuning) -> float:
-    """Some times the distance between successive frames; of loose photographs, the median one to the nearest elsewhere
-    (a telephone writes one position into several of them).
+    """A multiple of the distance between consecutive frames; for loose photographs, of the median distance to the
+    nearest different position (a telephone writes one position into several photographs).
 
-    Half of the way is gone in steps so long or longer: a vehicle that stands most of the time has a median step that
-    says nothing of how far things are (PandaSet, every fifth frame: 0.15 m; so 1.3 m).
+    The distance is the median weighted by length: a vehicle that stands most of the time has a median step that is
+    unrelated to the distance of the surface (PandaSet, every fifth frame: 0.15 m; weighted 1.3 m).
     """
     position = scene.world_from_rig[:, :3, 3]
     steps = [np.linalg.norm(np.diff(position[p.frames], axis=0), axis=1) for p in passes if len(p) > 1]
@@ -130,7 +130,7 @@ def assumed_range(scene: Scene, passes: Sequence[Pass], tuning: PosesTuning) -> 
 
 
 def prior_views(scene: Scene, poses: np.ndarray, headings: np.ndarray, passes: Sequence[Pass]) -> Views:
-    """Views of the images by ``poses`` (F, 4, 4) of the rig, of which ``headings`` (F,) come from the track."""
+    """Views of the images by ``poses`` (F, 4, 4) of the rig, of which ``headings`` (F,) are derived from the track."""
     pose = scene.with_(world_from_rig=poses).image_priors()
     known = np.isfinite(pose[:, :3]).all(axis=(1, 2))
     pose[~known, :3, :3] = np.nan
@@ -147,7 +147,7 @@ def prior_views(scene: Scene, poses: np.ndarray, headings: np.ndarray, passes: S
 
 
 def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:
-    """(F,) length of the way up to each frame, pass after pass; NaN on no pass or without position."""
+    """(F,) length of the path up to each frame, pass after pass; NaN on no pass or without position."""
     out = np.full(scene.frames, np.nan)
     gone = 0.0
     for p in passes:
@@ -160,15 +160,15 @@ def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray
 
 
 def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | None]:
-    """The camera of each image as wide as it may be: a guessed focal length must not hide what is seen.
+    """The camera of each image with its largest possible field of view, so that a guessed focal length hides nothing.
 
-    The cameras of a rig are mounted to overlap, so that a guess is widened to ``shared_view`` of the angle to the next
+    The cameras of a rig are mounted to overlap, so a guess is widened to ``shared_view`` of the angle to the next
     one.
     """
     made: list[pycolmap.Camera | None] = []
     for rig in scene.rigs:
         angles = rig.axis_angles_deg()
-        angles = np.where(angles > 5.0, angles, np.nan)  # nearer axes look the same way
+        angles = np.where(angles > 5.0, angles, np.nan)  # axes closer than that have the same direction
         for k, sensor in enumerate(rig.sensors):
             next_ = np.nanmin(angles[k]) if np.isfinite(angles[k]).any() else np.nan
             made.append(_wide_enough(sensor.camera, float(next_), tuning))
@@ -190,7 +190,7 @@ def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesT
 def predicted_overlap(
     scene: Scene, views: Views, reach: float, settings: CandidatesSettings, tuning: Tuning
 ) -> Overlap:
-    """Shared surface of all images whose poses are trusted, world by world."""
+    """Shared surface of all images with trusted poses, world by world."""
     cameras = view_cameras(scene, tuning.poses)
     cam_from_world = np.full((len(scene), 4, 4), np.nan)
     cam_from_world[views.trusted] = np.linalg.inv(views.pose[views.trusted])
@@ -206,7 +206,7 @@ def predicted_overlap(
 def _candidates(
     scene: Scene, frames: np.ndarray, reach: float, found: Overlap, tuning: PosesTuning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Image pairs i < j to be judged: of near frames, and all that share surface."""
+    """Image pairs i < j to be judged: those of near frames, and all that share surface."""
     i, j = _image_pairs(scene, *_frame_pairs(scene, frames, reach, tuning))
     i, j = np.concatenate([np.minimum(i, j), found.i]), np.concatenate([np.maximum(i, j), found.j])
     key = np.unique(pair_key(i, j))
@@ -214,10 +214,10 @@ def _candidates(
 
 
 def _frame_pairs(scene: Scene, frames: np.ndarray, reach: float, tuning: PosesTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of frames (K,), (K,), first <= second: each with itself and its nearest ones within some times the distance
-    beyond which they share nothing.
+    """Pairs of frames (K,), (K,), first <= second: each with itself and with its nearest ones within a multiple of
+    the distance beyond which they share nothing.
 
-    Odometry of one pass knows nothing of another pass, and is never compared with it.
+    Odometry of one pass is unrelated to another pass, and is never compared with it.
     """
     position, world = scene.world_from_rig[frames, :3, 3], scene.pose_world()[frames]
     radius = 2.0 * (tuning.far_ranges * reach)
@@ -257,7 +257,7 @@ def _tests(
     settings: CandidatesSettings,
     tuning: PosesTuning,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Index into REASONS of each pair (K,), the first test that refuses it, 0 = none does; predicted overlap (K,)."""
+    """Index into REASONS of each pair (K,) for the first test that refuses it, 0 = none; predicted overlap (K,)."""
     i, j = pairs
     base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
     # (K,) standard deviation of the distance of image pairs, with the drift of the path between them
@@ -265,13 +265,13 @@ def _tests(
     sigma = np.sqrt(views.sigma_m[i] ** 2 + views.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
     noise = tuning.sigmas * sigma
     axis = views.axis()
-    # Without orientation nothing but the number of neighbours limits the distance (as COLMAP's spatial matching does).
+    # Without orientation only the number of neighbours limits the distance (as in COLMAP's spatial matching).
     oriented = np.isfinite(axis[i]).all(axis=1) & np.isfinite(axis[j]).all(axis=1)
     apart = scene.frame[i] != scene.frame[j]
     same_camera = (scene.sensor_key[i] == scene.sensor_key[j]) & apart
     both = views.trusted[i] & views.trusted[j]
     share = np.where(both, found.between(i, j), np.nan)
-    sure = both & apart & (sigma < 0.25 * reach)  # less certain, two frames are not refused by sight
+    sure = both & apart & (sigma < 0.25 * reach)  # less accurate frames are not refused by sight
     refused = {
         "distance": oriented & (base - noise > tuning.far_ranges * reach),
         "axes": _angle(axis[i], axis[j]) > settings.axes_deg,
@@ -285,7 +285,8 @@ def _tests(
 def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.ndarray]:
     """Poses (F, 4, 4) with unknown rotations of passes filled by the direction of travel, and where (F,) bool.
 
-    Reference camera forward, rig upright: wrong by a constant turn about the vertical if it is mounted otherwise, which
+    Reference camera forward, rig upright: if it is mounted differently, the error is a constant rotation about the
+    vertical, which does not affect angles between axes.
     angles between axes do not notice.
     """
     poses = scene.world_from_rig.copy()
@@ -308,7 +309,7 @@ def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.
 
 
 def _direction(where: np.ndarray, noise: np.ndarray, k: int) -> np.ndarray | None:
-    """Horizontal unit vector of travel at frame k over the shortest stretch that is longer than its noise."""
+    """Horizontal unit vector of travel at frame k over the shortest section that is longer than its noise."""
     for half in range(1, len(where)):
         a, b = max(0, k - half), min(len(where) - 1, k + half)
         step = (where[b] - where[a]) * (1, 1, 0)
@@ -320,10 +321,10 @@ def _direction(where: np.ndarray, noise: np.ndarray, k: int) -> np.ndarray | Non
 
 
 def _upright(way: np.ndarray, up_in_rig: np.ndarray) -> np.ndarray:
-    """world_from_rig (3, 3) that takes the rig's vertical to the world's and the reference axis towards ``way``."""
+    """world_from_rig (3, 3) that maps the rig's vertical to the world's and the reference axis to ``way``."""
     ahead = np.array([0.0, 0.0, 1.0])
     ahead = ahead - (ahead @ up_in_rig) * up_in_rig
-    if np.linalg.norm(ahead) < 1e-3:  # the reference camera looks up: any direction in the plane serves
+    if np.linalg.norm(ahead) < 1e-3:  # the reference camera looks up: any direction in the plane will do
         ahead = np.cross(up_in_rig, [1.0, 0.0, 0.0])
     ahead /= np.linalg.norm(ahead)
     rig = np.stack([ahead, np.cross(up_in_rig, ahead), up_in_rig], axis=1)

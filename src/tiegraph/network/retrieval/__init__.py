@@ -1,1 +1,1 @@
-"""Which images look alike: words learnt on the set itself, loose photographs, copies."""
+"""Retrieval of look-alikes: visual words learnt on the survey itself, loose photographs, copies."""

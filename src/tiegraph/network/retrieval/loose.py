@@ -1,9 +1,9 @@
 """Loose photographs without order or position: look-alikes are previewed first, then neighbours of neighbours.
 
-Sample and propagate (Cui et al. 2017) with visual words as the prior. What is kept is decided as on the lattice of a
-pass, only that here the neighbours in the graph of previews take the place of those in time: measured on 120 rendered
-images and 79 photographs, a pair with 12 matches is true in 46 to 85 % of cases if the two images tie to the same
-others, in 6 to 50 % if they do not.
+Sample and propagate (Cui et al. 2017) with visual words as the prior. Pairs are kept as on the lattice of a pass,
+except that the neighbours in the graph of previews take the place of those in time: measured on 120 rendered images
+and 79 photographs, a pair with 12 matches is true in 46 to 85 % of cases if the two images tie to the same others, in
+6 to 50 % if they do not.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ BLOCK = 512  # rows of the graph that are multiplied at once
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Images (N,) that take part, which of them are loose, and the words of all images of the scene."""
+    """The participating images (N,), which of them are loose, and the words of all images of the scene."""
 
     image: np.ndarray
     loose: np.ndarray
@@ -35,7 +35,7 @@ class _Nodes:
         return len(self.image)
 
     def keys(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Sorted unique numbers of node pairs of which one at least is loose."""
+        """Sorted unique numbers of node pairs with at least one loose image."""
         low, high = np.minimum(a, b).astype(np.int64), np.maximum(a, b)
         wanted = (low != high) & (self.loose[low] | self.loose[high])
         return np.unique((low * len(self) + high)[wanted])
@@ -60,7 +60,7 @@ def scored_pairs(
 ) -> Pairs:
     """Pairs of loose images (K,) among each other and with the images of passes, by previews.
 
-    Up to ``all_limit`` images every pair is previewed; beyond, so many an image: look-alikes by ``words`` (of all
+    Up to ``all_limit`` images every pair is previewed; beyond, a number per image: look-alikes by ``words`` (of all
     images of the scene) and then neighbours of neighbours. Dropped pairs carry ``weak``.
     """
     if len(images) == 0:
@@ -112,8 +112,8 @@ def _graph(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_matc
 
 
 def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuning) -> np.ndarray:
-    """Numbers of the node pairs that were previewed: look-alikes and neighbours by name first, then, while previews
-    hit and the budget lasts, neighbours of neighbours; images with few ties go further down their list."""
+    """Numbers of the previewed node pairs: look-alikes and neighbours by name first, then, while previews tie and the
+    budget lasts, neighbours of neighbours; images with few ties go further down their list."""
     count, loose, sure = len(nodes), tuning.retrieval.loose, tuning.retrieval.sure_alike * min_matches
     budget = tuning.previews_an_image * count
     if nodes.words is None:
@@ -142,8 +142,8 @@ def _propagated(nodes: _Nodes, cache: MatchCache, min_matches: int, tuning: Tuni
 
 
 def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generator, tuning: LooseTuning) -> np.ndarray:
-    """Numbers of each start's look-alikes, the next ones of its list with each ``depth``; without words of random
-    partners."""
+    """Numbers of each start's look-alikes, the next ones of its list with each ``depth``; random partners without
+    words."""
     if nodes.words is None:
         repeated = np.repeat(start, 20)
         return nodes.keys(repeated, rng.integers(0, len(nodes), len(repeated)))
@@ -158,7 +158,7 @@ def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generat
 def _friends(
     nodes: _Nodes, known: tuple[np.ndarray, np.ndarray], score: np.ndarray, min_matches: int, most: int
 ) -> np.ndarray:
-    """Numbers of the new pairs, ``most`` of each node, with most in common: ties to the same nodes, times likeness."""
+    """Numbers of the new pairs, ``most`` for each node, with the highest score: common ties times similarity."""
     (a, b), count = known, len(nodes)
     graph = _graph(a, b, score, count, min_matches)
     old = nodes.keys(a, b)

@@ -1,8 +1,8 @@
-"""Source ``retrieval``: ties that no order tells of, found by likeness and confirmed by previews.
+"""Source ``retrieval``: ties that the order does not suggest, found by similarity and confirmed by previews.
 
-Loose photographs: ``network.loose``. Passes: loops, where a camera comes back to a place long after, or two passes meet
-off the path that ``network.offsets`` follows. One look-alike is not believed: repeated walls give a fifth or more of
-unrelated images the preview count of true pairs; the previews of the frames before and after must agree.
+Loose photographs: ``network.loose``. Passes: loops, where a camera returns to a place long after, or two passes meet
+off the path that ``network.offsets`` follows. A single look-alike is no evidence: repeated walls give a fifth or more
+of unrelated images the preview count of true pairs; the previews of the frames before and after must agree.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,15 +25,15 @@ from tiegraph.network.tuning.retrieval import LoopSearchTuning, VocabularyTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-NAMED = 5  # places named one by one in the notes
+NAMED = 5  # places listed singly in the notes
 _STEPS = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])  # strides to the neighbouring frame pairs
 
 
 def nearest_images(
     descriptors: Sequence[np.ndarray], count: int, tuning: VocabularyTuning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The ``count`` images that look most like each of N images with descriptors (K, 128) u1: indices (N, C) i4,
-    -1 = no more, and cosines (N, C) f4, best first. Linear memory; 4000 images of 800 features take half a minute."""
+    """The ``count`` most similar images of each of N images with descriptors (K, 128) u1: indices (N, C) i4, -1 = no
+    more, and cosines (N, C) f4, best first. Linear memory; 4000 images of 800 features take half a minute."""
     return bags_of_words(descriptors, tuning).nearest(count)
 
 
@@ -46,7 +46,7 @@ def retrieve(
     descriptors: Callable[[], Sequence[np.ndarray]],
     known: Pairs | None = None,
 ) -> Proposal:
-    """Pairs of loose photographs and loops of passes; ``known`` pairs (kept ones) and what lies near them are no loops.
+    """Pairs of loose photographs and loops of passes; ``known`` (kept) pairs and their surroundings are no loops.
 
     ``descriptors()`` gives root-SIFT (K, 128) u1 of the preview of every image.
     """
@@ -68,7 +68,7 @@ def loop_candidates(
     tuning: Tuning,
     known: Pairs | None = None,
 ) -> Proposal:
-    """Pairs far from the known ones whose images look alike, confirmed by the previews of the frames around them.
+    """Look-alikes far from the known pairs, confirmed by the previews of the frames around them.
 
     Dropped pairs carry ``weak``: previewed and not confirmed.
     """
@@ -104,7 +104,8 @@ def loop_candidates(
 
 @dataclass(frozen=True)
 class _Look:
-    """What judging the previews of pairs along the passes needs; ``level``: of unrelated images, None = unknown."""
+    """The data for judging the previews of pairs along the passes; ``level``: noise floor of unrelated images, None =
+    unknown."""
 
     line: Timeline
     cache: MatchCache
@@ -114,12 +115,12 @@ class _Look:
 
     @property
     def sure(self) -> float:
-        """Matches by which a preview ties by itself."""
+        """Matches from which a single preview ties."""
         return self.tuning.retrieval.sure_alike * self.min_matches
 
 
 def _blocked(line: Timeline, known: Pairs | None, near_reaches: int) -> np.ndarray:
-    """(C, C) bool: cells in which a pair is no news: near in one pass, or next to known pairs."""
+    """(C, C) bool: cells whose pairs are not new: near in one pass, or next to known pairs."""
     count = len(line.cell_pass)
     cell = np.arange(count)
     near = np.abs(cell[:, None] - cell) <= near_reaches
@@ -138,7 +139,7 @@ def _blocked(line: Timeline, known: Pairs | None, near_reaches: int) -> np.ndarr
 
 
 def _look_alikes(line: Timeline, words: BagsOfWords, blocked: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs i < j (K,), (K,) of sampled images with the ``count`` most alike of each outside the blocked cells."""
+    """Pairs i < j (K,), (K,) of sampled images with their ``count`` most similar images outside the blocked cells."""
     images = line.sampled()
     cell = line.cell[line.place[images]]
     other, _ = words.among(images).nearest(count, wanted=lambda rows: ~blocked[np.ix_(cell[rows], cell)])
@@ -154,7 +155,7 @@ def _unique(i: np.ndarray, j: np.ndarray, images: int) -> tuple[np.ndarray, np.n
 def _grown(
     look: _Look, seeds: tuple[np.ndarray, np.ndarray], blocked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Pairs previewed: the given ones, and the neighbours of every hit until nothing new hits; whether the budget of
+    """Previewed pairs: the given ones, and the neighbours of every tie until nothing new ties; whether the budget of
     previews was spent before."""
     line, images = look.line, len(look.line.place)
     budget = look.tuning.retrieval.loops.previews_an_image * len(line.sampled())
@@ -166,7 +167,7 @@ def _grown(
             return done // images, done % images, True
         look.cache.measure(key // images, key % images)
         done = np.union1d(done, key)
-        # Every first hit is looked at from all sides; from there on only what its surroundings bear out spreads.
+        # Every first tie is examined from all sides; after that only confirmed ties spread.
         hit = key[_hits(look, (key // images, key % images))]
         if not first:
             own = _borne_out(look, (done // images, done % images))
@@ -190,7 +191,7 @@ def _around(line: Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _hits(look: _Look, ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(K,) bool: previews that tie by themselves, above the level of unrelated images."""
+    """(K,) bool: previews that tie singly, above the noise floor of unrelated images."""
     count, level = look.cache.known(*ends), look.level
     if level is None:
         return count >= look.sure
@@ -199,10 +200,10 @@ def _hits(look: _Look, ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def _borne_out(look: _Look, ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(K,) bool: previews that tie and so does the weighted mean of those around them, themselves left out.
+    """(K,) bool: previews that tie, and so does the weighted mean of those around them, without themselves.
 
-    The weights are a Gaussian over the 3 x 3 neighbouring frame pairs, as on the lattice of ``offsets``. Of unrelated
-    pairs with one hit in five, one in 75 is borne out (simulated).
+    The weights are a Gaussian over the 3 x 3 neighbouring frame pairs, as on the lattice of ``offsets``. If one in
+    five unrelated pairs ties, one in 75 is confirmed (simulated).
     """
     line, counts = look.line, look.tuning.counts
     a, b = _around(line, *ends)
@@ -218,7 +219,7 @@ def _borne_out(look: _Look, ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def _patches(line: Timeline, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """(K,) patch of frame pairs side by side that each pair of images lies in, of whatever cameras."""
+    """(K,) patch of adjacent frame pairs to which each pair of images belongs, whatever the cameras."""
     count = len(line.of_pass)
     a, b = np.minimum(line.place[i], line.place[j]), np.maximum(line.place[i], line.place[j])
     key, at = np.unique(a * count + b, return_inverse=True)
@@ -250,7 +251,7 @@ def _filled(line: Timeline, i: np.ndarray, j: np.ndarray, count: np.ndarray) -> 
 
 
 def _notes(line: Timeline, passes: Sequence[Pass], i: np.ndarray, j: np.ndarray, patch: np.ndarray) -> tuple[str, ...]:
-    """What was found where: the largest patches of confirmed pairs (K,), (K,)."""
+    """The places of the largest patches of confirmed pairs (K,), (K,)."""
     out = []
     size = np.bincount(patch)
     order = np.argsort(-size, kind="stable")
@@ -266,22 +267,23 @@ def _notes(line: Timeline, passes: Sequence[Pass], i: np.ndarray, j: np.ndarray,
     return tuple(out)
 
 
-# --- significance -----------------------------------------------------------------------------------------------------
-# Is a loop there? What its previews reach must stand above what unrelated frames of this survey do, for the whole rig.
+# --- significance
+# --------------------------------------------------------------------------------------------------------
+# Is a loop real? Its previews must exceed those of unrelated frames of this survey, for the whole rig.
 #
-# Walls that repeat tie two places for one or two cameras and some frames; at one place again, most cameras of the rig
-# see what the rig saw before. So the frame pairs of a loop are previewed by all cameras, also by those that had no part
-# in finding it.
+# Repeated walls tie two places for one or two cameras and some frames; back at the same place, most cameras of the
+# rig see what the rig saw before. So the frame pairs of a loop are previewed by all cameras, including those not
+# involved in finding it.
 #
-# A loop far from the path is believed if most cameras of the rig support it, each with the camera that the other end of
-# the loop named.
+# A loop far from the path is accepted if most cameras of the rig support it, each with the camera chosen at the other
+# end of the loop.
 
 
 def unrelated(
     line: Timeline, blocked: np.ndarray, cache: MatchCache, min_matches: int, tuning: Tuning
 ) -> NoiseFloor | None:
-    """What previews of places that have nothing to do with each other reach; None in a short survey, where it cannot be
-    told. ``blocked`` (C, C): cells that are near each other, or known to tie."""
+    """The noise floor of previews of unrelated places; None in a short survey, where it is unknown. ``blocked`` (C,
+    C): cells that are near each other, or known to tie."""
     background = tuning.offsets.background
     if len(line.of_pass) < background.long_frames:
         return None
@@ -306,9 +308,9 @@ def seen_by_the_rig(
     floor: NoiseFloor,
     tuning: LoopSearchTuning,
 ) -> np.ndarray:
-    """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig bear out; ``patch`` (K,).
+    """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig confirm; ``patch`` (K,).
 
-    The largest ones are looked at; the others are not believed.
+    The largest ones are tested; the others are rejected.
     """
     size = np.bincount(patch)
     most = max(1, len(line.of_pass) // 16)
@@ -320,7 +322,7 @@ def seen_by_the_rig(
 
 
 def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """A few places a (K,), b (K,) along a patch of image pairs, each the one most of its images speak for."""
+    """A few places a (K,), b (K,) along a patch of image pairs, each the one with most image pairs."""
     a, b = line.place[i], line.place[j]
     a, b = np.minimum(a, b), np.maximum(a, b)
     key, votes = np.unique(a * len(line.of_pass) + b, return_counts=True)
@@ -332,11 +334,11 @@ def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray, most: int) -> tup
 def _share_speaking(
     line: Timeline, places: tuple[np.ndarray, np.ndarray], cache: MatchCache, floor: NoiseFloor, speaks: float
 ) -> float:
-    """Share of the cameras that tie at ``places`` a (K,), b (K,) with a camera of the other place; of both the
-    lower one.
+    """Share of the cameras that tie at ``places`` a (K,), b (K,) with a camera of the other place; the lower one of
+    both.
 
-    Which camera that is, one end of the loop says, and whether they tie the other end: the best of several chances
-    would speak for any two places, and neighbouring frames see the same wall.
+    One end of the loop chooses the camera, and the other end tests whether they tie: the best of several chances
+    would support any two places, and neighbouring frames see the same wall.
     """
     a, b = places
     left, right = np.broadcast_arrays(line.image_at[a][:, :, None], line.image_at[b][:, None, :])  # (K, S, S)
@@ -356,7 +358,7 @@ def _share_speaking(
 
 
 def _mean(above: np.ndarray) -> np.ndarray:
-    """(S, S) mean of what is known (K, S, S), -1 where nothing is."""
+    """(S, S) mean of the known values (K, S, S), -1 where there are none."""
     known = np.isfinite(above)
     return np.where(known.any(axis=0), np.nansum(above, axis=0) / np.maximum(known.sum(axis=0), 1), -1.0)
 

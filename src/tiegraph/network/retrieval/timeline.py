@@ -1,4 +1,4 @@
-"""All passes one after another, as looking for loops needs them: places, cells, and what lies some frames on."""
+"""All passes in a row, for the search for loops: places, cells, and frames at a distance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from tiegraph.network.tuning.retrieval import LoopSearchTuning
 
 @dataclass(frozen=True)
 class Timeline:
-    """All passes one after another: ``image_at[g, s]`` = image of sensor s at place g, -1 = none; of every place its
-    pass, the stride of its samples and its cell; of every image its place (-1 = loose) and sensor."""
+    """All passes in a row: ``image_at[g, s]`` = image of sensor s at place g, -1 = none; of every place its pass, the
+    stride of its samples and its cell; of every image its place (-1 = loose) and sensor."""
 
     image_at: np.ndarray  # (G, S)
     of_pass: np.ndarray  # (G,)
@@ -30,18 +30,18 @@ class Timeline:
         return np.sort(images[images >= 0])
 
     def stepped(self, places: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """(K,) the place some frames on (K,) in the same pass; -1 = none."""
+        """(K,) the place this number of frames (K,) later in the same pass; -1 = none."""
         there = np.clip(places + frames, 0, len(self.of_pass) - 1)
         return np.where((there == places + frames) & (self.of_pass[there] == self.of_pass[places]), there, -1)
 
     def moved(self, images: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """(K,) the image of the same camera some frames on (K,); -1 = none."""
+        """(K,) the image of the same camera this number of frames (K,) later; -1 = none."""
         there = self.stepped(self.place[images], frames)
         return np.where(there >= 0, self.image_at[there, self.sensor[images]], -1)
 
 
 def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: LoopSearchTuning) -> Timeline:
-    """The passes one after another; how densely they are sampled is told by how alike their images look."""
+    """The passes in a row, sampled according to the similarity of their images."""
     sensors = max(len(p.images) for p in passes)
     length = np.array([len(p) for p in passes])
     image_at = np.full((length.sum(), sensors), -1, np.int64)
@@ -78,7 +78,7 @@ def _reach(p: Pass, words: BagsOfWords, tuning: LoopSearchTuning) -> int:
         left, right = p.images[:, :-step].ravel(), p.images[:, step:].ravel()
         there = (left >= 0) & (right >= 0)
         alike.append(float(words.between(left[there], right[there]).mean()) if there.any() else 0.0)
-    # A quarter of the likeness of consecutive frames above that of distant ones
+    # A quarter of the similarity of consecutive frames above that of distant ones
     level = min(alike) + 0.25 * (alike[0] - min(alike))
     below = [s for s, value in zip(steps, alike) if value < level]
     return below[0] if below else steps[-1]

@@ -1,4 +1,4 @@
-"""Bags of visual words learnt on the survey's own previews: which images look alike (Sivic & Zisserman 2003).
+"""Bags of visual words learnt on the survey's own previews, to find look-alikes (Sivic & Zisserman 2003).
 
 Two small two-level vocabularies (Nister & Stewenius 2006) instead of VLAD (Jegou 2010; Arandjelovic 2013): measured on
 300 rendered images, 40 retrieved images hold 0.35 instead of 0.31 of the pairs that share 15 % of their surface, on 79
@@ -28,7 +28,7 @@ class BagsOfWords:
         return int(self.weights.shape[0])
 
     def among(self, images: np.ndarray) -> "BagsOfWords":
-        """The words of some images (K,), in their order."""
+        """The words of some images (K,), in this order."""
         return BagsOfWords(csr_array(self.weights[images]))
 
     def nearest(
@@ -70,12 +70,12 @@ class BagsOfWords:
 def bags_of_words(descriptors: Sequence[np.ndarray], tuning: VocabularyTuning) -> BagsOfWords:
     """Words of images with root-SIFT descriptors (K, 128) u1 each; K = 0 is legal. Deterministic.
 
-    ``descriptors`` is gone through a few times, image by image: it may load on demand.
+    ``descriptors`` is read a few times, image by image: it may load on demand.
     """
     total = sum(len(d) for d in descriptors)
     if total == 0:
         return BagsOfWords(csr_array((len(descriptors), 1), dtype=np.float32))
-    words = int(np.clip(total / 12, 256, 65536))  # 8 to 16 features a word serve alike from 79 to 300 images
+    words = int(np.clip(total / 12, 256, 65536))  # 8 to 16 features a word are equally good from 79 to 300 images
     parts = []
     for seed in range(tuning.vocabularies):
         # (K, 128) f4 descriptors, the same share of every image
@@ -143,7 +143,8 @@ def _closest(x: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def _counted(descriptors: Sequence[np.ndarray], vocabulary: _Vocabulary) -> csr_array:
-    """(N, W) how often each image has each word; looked up many images at a time, few calls for many words."""
+    """(N, W) how often each image has each word; many images are looked up together, to have few calls for many
+    words."""
     shape = len(descriptors), int(vocabulary.first[-1])
     rows: list[np.ndarray] = []
     held: list[np.ndarray] = []
@@ -162,7 +163,7 @@ def _weighted(counts: csr_array) -> csr_array:
     """Term frequency and inverse document frequency, each damped; rows of length 1."""
     images = counts.shape[0]
     having = np.bincount(counts.indices, minlength=counts.shape[1])
-    rare = np.log(images / np.clip(having, 1, images)) ** 0.5  # in a survey common words still tell
+    rare = np.log(images / np.clip(having, 1, images)) ** 0.5  # common words still count in a survey
     data = counts.data**0.5 * rare[counts.indices]  # burstiness: Jegou 2009
     return _unit(csr_array((data.astype(np.float32), counts.indices, counts.indptr), shape=counts.shape))
 

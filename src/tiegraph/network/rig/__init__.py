@@ -1,1 +1,1 @@
-"""What the images say about the rig: which cameras can see the same, their order, their time."""
+"""The rig compared with the images: which cameras see the same surface, their order, their synchronisation."""

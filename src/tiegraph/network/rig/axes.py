@@ -1,8 +1,8 @@
-"""What the optical axes of a rig say about which cameras can match, within a pass and between passes.
+"""Which cameras can match according to the optical axes of a rig, within a pass and between passes.
 
-What two passes have in common, heading and direction of one against the other, is said only where votes are many.
-Chance alone leaves a few nodes above the threshold: on two synthetic passes that share nothing 2 to 8 effective votes
-and yaws 1 to 2 standard deviations above those of cameras paired at random; of true ones hundreds of votes and 9 to 17.
+The relation of two passes, heading and direction of one relative to the other, is stated only with many votes. Chance
+alone leaves a few nodes above the threshold: on two synthetic passes that share nothing 2 to 8 effective votes and
+yaws 1 to 2 standard deviations above those of cameras paired at random; of true ones hundreds of votes and 9 to 17.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ PAIRS_NAMED = 8
 
 
 def allowed_within(rig: Rig, limit_deg: float) -> np.ndarray:
-    """(S, S) bool: camera pairs of one pass whose axes permit a match; all, while the extrinsics are unknown."""
+    """(S, S) bool: camera pairs of one pass whose axes permit a match; all, if the extrinsics are unknown."""
     angles = rig.axis_angles_deg()
     return ~(angles > limit_deg)
 
@@ -26,7 +26,7 @@ def allowed_within(rig: Rig, limit_deg: float) -> np.ndarray:
 def vertical(rig: Rig) -> np.ndarray:
     """Unit vector (3,) in the rig frame about which a vehicle turns: normal of the plane of the side cameras' axes.
 
-    With fewer than three side cameras, or axes that span no plane, the reference camera is taken to be level.
+    With fewer than three side cameras, or axes that span no plane, the reference camera is assumed level.
     """
     axes = np.stack(
         [s.optical_axis() for s in rig.sensors if s.role != "up"] or [s.optical_axis() for s in rig.sensors]
@@ -50,7 +50,7 @@ def angles_deg(rig: Rig, yaw_deg: float) -> np.ndarray:
 def yaw_between(rig: Rig, evidence: np.ndarray) -> float | None:
     """Heading difference in degrees that best explains which cameras (S, S) match; None without evidence.
 
-    Matching cameras look the same way: the yaw with the greatest evidence-weighted cosine between axes.
+    Matching cameras look in the same direction: the yaw with the greatest evidence-weighted cosine between axes.
     """
     side = np.array([s.role != "up" for s in rig.sensors])
     evidence = evidence * side[:, None] * side[None, :]
@@ -62,12 +62,12 @@ def yaw_between(rig: Rig, evidence: np.ndarray) -> float | None:
 
 
 def predicted_shift(rig: Rig, a: int, b: int) -> np.ndarray:
-    """(2,) motion in the picture from camera a to b of a thing that stands midway between their axes."""
+    """(2,) motion in the picture from camera a to b of an object midway between their axes."""
     pose_a, pose_b = rig.sensors[a].sensor_from_rig, rig.sensors[b].sensor_from_rig
     assert pose_a is not None and pose_b is not None
     centres = transforms.centre(pose_a), transforms.centre(pose_b)
     baseline = float(np.linalg.norm(centres[1] - centres[0]))
-    # Things are assumed ten baselines away
+    # Objects are assumed ten baselines away
     middle = rig.sensors[a].optical_axis() + rig.sensors[b].optical_axis()
     away = 10 * max(baseline, 1e-3) * middle / max(np.linalg.norm(middle), 1e-9)
     thing = 0.5 * (centres[0] + centres[1]) + away
@@ -82,7 +82,8 @@ def votes(excess: np.ndarray) -> float:
 
 
 def direction(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
-    """Whether frames of q run against those of p (sign of the rank correlation), and whether that is significant."""
+    """Whether frames of q run opposite to those of p (sign of the rank correlation), and whether
+    that is significant."""
     weight = excess.sum(axis=(0, 1)).astype(float)
     if weight.sum() <= 0:
         return False, False
@@ -94,7 +95,7 @@ def direction(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning)
 
 
 def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | None:
-    """Heading of q against p in degrees by which cameras match; None where rigs differ or the votes are too few."""
+    """Heading of q relative to p in degrees from the matching cameras; None if rigs differ or the votes are too few."""
     p, q = scores.p, scores.q
     if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
         return None
@@ -111,7 +112,7 @@ def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | N
 
 
 def in_words(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
-    """How pass q lies to pass p by evidence (S, T, A, B) above the threshold; empty where there is nothing to say."""
+    """The relation of pass q to pass p by evidence (S, T, A, B) above the threshold; empty if there is none."""
     turned, (backwards, sure) = yaw(scores, excess, tuning), direction(scores, excess, tuning.common_view)
     if turned is None and not sure:
         return ""
@@ -122,7 +123,7 @@ def in_words(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
 
 
 def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> str:
-    """The frames in common, where they are not nearly all of both passes."""
+    """The frames in common, if they are clearly not all of both passes."""
     weight = excess.sum(axis=(0, 1))
     said, partly = [], False
     for p, ranks, own in ((scores.p, scores.rows, weight.sum(axis=1)), (scores.q, scores.columns, weight.sum(axis=0))):
@@ -133,7 +134,7 @@ def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -
 
 
 def above(smooth: np.ndarray, min_matches: int) -> np.ndarray:
-    """(S, T, A, B) smoothed matches above ``min_matches``, 0 where less or not measured."""
+    """(S, T, A, B) smoothed matches above ``min_matches``, 0 if less or not measured."""
     return np.maximum(0, np.nan_to_num(smooth) - min_matches)
 
 
@@ -148,9 +149,9 @@ def without_chance(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tu
 
 
 def strangers(couples: list[str]) -> tuple[str, ...]:
-    """One note for all couples of passes without a common view."""
+    """One note for all pairs of passes without a common view."""
     if not couples:
         return ()
     more = len(couples) - PAIRS_NAMED
-    rest = f" and {more} more couples of passes" if more > 0 else ""
+    rest = f" and {more} more pairs of passes" if more > 0 else ""
     return (f"no common view was found: {', '.join(couples[:PAIRS_NAMED])}{rest}",)

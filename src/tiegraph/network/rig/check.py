@@ -1,10 +1,12 @@
-"""Are the nominal axes of a rig those of the images? The images of one frame say so, without any motion between them.
+"""Do the nominal axes of a rig agree with the images? The images of one frame show it, without any motion between
+them.
 
-A preset may turn the wrong way round (mirrored), or its images may lie on their side (rolled). Each of these hypotheses
-predicts which way a thing moves in the picture from one camera to the next; the previews of same-frame pairs vote, and
-one is believed that is better by more than chance does once in 1000 surveys (Student's t, the best of all of them).
-A rig file may also name its cameras in another order: then the wrong ones share a view, against what its axes say; that
-needs no focal length. All pairs of cameras are sampled, for wrong axes forbid the very pairs that would tell.
+A preset may be reversed (mirrored), or its images may be turned on their side (rolled). Each of these hypotheses
+predicts the direction in which an object moves in the picture from one camera to the next; the previews of same-frame
+pairs vote, and a hypothesis is accepted if chance would be that good only once in 1000 surveys (Student's t, best of
+all hypotheses). A rig file may also list its cameras in a wrong order: then cameras share a view that should not,
+according to its axes; this test needs no focal length. All pairs of cameras are sampled, because wrong axes exclude
+the very pairs that would show it.
 """
 
 from collections.abc import Sequence
@@ -37,10 +39,11 @@ class Order:
 
 
 def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
-    """Orders of the side cameras that explain evidence (2, S, S), one a half of the frames, better than the rig does.
+    """Orders of the side cameras that explain evidence (2, S, S), one for each half of the frames, better than the
+    rig does.
 
-    Of equal fits those that move fewest cameras come first; empty = the rig's own order is as good as any. Evidence is
-    how often two cameras match, NaN = not known; only its ranking against the cosine of the axes counts.
+    Of equal fits those that move fewest cameras come first; empty = the rig's own order is as good as any. Evidence
+    is how often two cameras match, NaN = unknown; only its ranking relative to the cosine of the axes counts.
     """
     side = np.array([k for k, s in enumerate(rig.sensors) if s.role != "up"])
     if len(side) < 3:
@@ -61,7 +64,8 @@ def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
 
 
 def reordered(rig: Rig, place: tuple[int, ...]) -> tuple[Rig, np.ndarray]:
-    """The rig with sensor k at the pose of sensor ``place[k]``, and the (4, 4) old rig frame from its new one."""
+    """The rig with sensor k at the pose of sensor ``place[k]``, and the (4, 4) transform from its new rig frame to
+    the old one."""
     old = [s.sensor_from_rig for s in rig.sensors]
     first = old[place[0]]
     assert first is not None
@@ -77,14 +81,14 @@ def reordered(rig: Rig, place: tuple[int, ...]) -> tuple[Rig, np.ndarray]:
 
 
 def in_words(rig: Rig, order: Order, evidence: np.ndarray) -> str:
-    """Which cameras seem to have changed places, with the figures."""
+    """The cameras that seem exchanged, with the figures."""
     names = [s.name for s in rig.sensors]
     moved = [k for k, p in enumerate(order.place) if p != k]
     if len(moved) == 2:
-        said = f"{names[moved[0]]} and {names[moved[1]]} tie as if they were swapped"
+        said = f"{names[moved[0]]} and {names[moved[1]]} match as if they were swapped"
     else:
-        said = "its cameras tie as if they were in another order: " + ", ".join(
-            f"{names[k]} where it says {names[order.place[k]]}" for k in moved
+        said = "its cameras match as if they were in another order: " + ", ".join(
+            f"{names[k]} at the place of {names[order.place[k]]}" for k in moved
         )
     found = _strongest(rig, evidence)
     angle = rig.axis_angles_deg()
@@ -102,13 +106,13 @@ def _strongest(rig: Rig, evidence: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _mean(evidence: np.ndarray) -> np.ndarray:
-    """(S, S) of (2, S, S): mean of what is known."""
+    """(S, S) mean of the known values of (2, S, S)."""
     known = np.isfinite(evidence).sum(axis=0)
     return np.where(known > 0, np.nansum(evidence, axis=0) / np.maximum(known, 1), np.nan)
 
 
 def _by_swaps(evidence: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """The nominal order, and those met when swapping the two cameras that help most, again and again."""
+    """The nominal order, and the orders found by repeatedly swapping the two cameras that improve most."""
     met = [np.arange(len(evidence))]
     for _ in range(len(evidence)):
         swaps = []
@@ -124,7 +128,7 @@ def _by_swaps(evidence: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 
 
 def _fits(evidence: np.ndarray, cosine: np.ndarray, tried: np.ndarray) -> np.ndarray:
-    """(P,) correlation between the evidence (S, S) of camera pairs and the cosines their orders (P, S) give them."""
+    """(P,) correlation between the evidence (S, S) of camera pairs and the cosines in their orders (P, S)."""
     c, d = np.triu_indices(len(evidence), 1)
     known = np.isfinite(evidence[c, d])
     c, d = c[known], d[known]
@@ -143,9 +147,10 @@ def _whole_order(count: int, side: np.ndarray, order: np.ndarray) -> tuple[int, 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Outcome for one rig: the rig to use from here on, whether it was changed, and what was found.
+    """Outcome for one rig: the rig to use from here on, whether it was changed, and the note.
 
-    old_from_new (4, 4): the old rig frame from the new one; ordered: False if its cameras seem to be in another order.
+    old_from_new (4, 4): the old rig frame from the new one; ordered: False if its cameras seem to be in another
+    order.
     """
 
     rig: Rig
@@ -159,8 +164,8 @@ class RigCheck:
 class _Votes:
     """K same-frame pairs: sensors a, b, shift (K, 2), rotation angle of the axes in degrees (NaN = unknown).
 
-    evidence (2, S, S): mean matches above ``min_matches`` in units of it, limited, of either half of the
-    frames; NaN = not looked at.
+    evidence (2, S, S): mean matches above ``min_matches`` in units of it, limited, of each half of the frames; NaN =
+    not previewed.
     """
 
     a: np.ndarray
@@ -173,9 +178,9 @@ class _Votes:
 def check_rigs(
     scene: Scene, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with rigs whose order, sense of rotation or roll the images contradict corrected, and what was found.
+    """The scene with rigs corrected whose order, sense of rotation or roll the images contradict, and notes.
 
-    Cameras with fewer frames than others and cameras that seem to run late are told of.
+    Notes also name cameras with fewer frames than others and cameras that seem to run late.
     """
     if not tuning.rig.check.frames:
         return scene, ()
@@ -191,7 +196,7 @@ def check_rigs(
         outcome = check_rig(rig, own, cache, settings, tuning)
         rigs[k] = outcome.rig
         if not np.array_equal(outcome.old_from_new, np.eye(4)):
-            turned = (scene.rig == k) & np.isfinite(poses).all(axis=(1, 2))  # a position alone stays where it is
+            turned = (scene.rig == k) & np.isfinite(poses).all(axis=(1, 2))  # a position alone does not change
             poses = np.where(turned[:, None, None], poses @ outcome.old_from_new, poses)
         notes.append(outcome.note)
         if outcome.ordered:
@@ -215,7 +220,7 @@ def check_rig(
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
         return RigCheck(rig, False, f"{text} ({len(votes.a)} of {check.min_votes} pairs of one frame)")
     score = {name: _agreement(variant, votes) for name, variant in _hypotheses(rig)}
-    # Of explanations that fit alike the first: side cameras of a ring cannot tell "mirrored" from "upside down".
+    # The first of equally good explanations: side cameras of a ring cannot separate "mirrored" from "upside down".
     best = next(name for name, s in score.items() if s >= max(score.values()) - check.tie)
     angles = _angles(rig, votes)
     if score["nominal"] >= check.agreement or best == "nominal":
@@ -227,24 +232,27 @@ def check_rig(
     if not sure or not mostly_more(gain[np.isfinite(gain)], len(variants) - 1):
         return RigCheck(rig, False, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
     if rig.fixed:
-        return RigCheck(rig, False, f"rig {rig.name}: the images say it is {best}, but it is calibrated: kept{angles}")
+        return RigCheck(
+            rig, False, (f"rig {rig.name}: the images show it {best}, but it is calibrated: it was not changed{angles}")
+        )
     angles = _angles(variants[best], votes)
-    return RigCheck(variants[best], True, f"rig {rig.name}: the images show it {best}: corrected{angles}")
+    return RigCheck(variants[best], True, f"rig {rig.name}: the images show it {best}: it was corrected{angles}")
 
 
 def _out_of_order(
     rig: Rig, found: Sequence[Order], votes: _Votes, settings: CandidatesSettings, tuning: Tuning
 ) -> RigCheck:
-    """Of orders with the same neighbours the one whose sense of rotation the images show; of those the first."""
+    """Among orders with the same neighbours, the one with the sense of rotation of the images;
+    among those the first."""
     tried = [reordered(rig, order.place)[0] for order in found]
     score = [_agreement(r, _facing(votes, r, settings)) for r in tried]
     order = found[next(k for k, s in enumerate(score) if s >= max(score) - tuning.rig.check.tie)]
     text = f"rig {rig.name}: {in_words(rig, order, votes.evidence)}"
     if rig.fixed:
-        return RigCheck(rig, False, f"{text}: it is calibrated and kept; check the rig file", ordered=False)
+        return RigCheck(rig, False, f"{text}: it is calibrated and was not changed; check the rig file", ordered=False)
     corrected, old_from_new = reordered(rig, order.place)
     return RigCheck(
-        rig=corrected, changed=True, note=f"{text}: corrected; check the rig file", old_from_new=old_from_new
+        rig=corrected, changed=True, note=f"{text}: it was corrected; check the rig file", old_from_new=old_from_new
     )
 
 
@@ -259,7 +267,7 @@ def _hypotheses(rig: Rig) -> list[tuple[str, Rig]]:
 
 
 def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
-    """Every camera turned about its own axis, and the rig reflected left to right as seen by the reference camera."""
+    """Every camera rotated about its own axis, and the rig reflected left to right as seen by the reference camera."""
     flip = np.diag([-1.0, 1.0, 1.0]) if mirror else np.eye(3)
     change = transforms.rigid(turn @ flip, np.zeros(3))
     sensors = []
@@ -272,7 +280,7 @@ def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
 def _collect(
     rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> _Votes:
-    """Previews of every two cameras in sampled frames; where next to none match, also from a frame to the next one."""
+    """Previews of every two cameras in sampled frames; if hardly any match, also from a frame to the next one."""
     camera_pairs = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
     check = tuning.rig.check
     rows = _sampled(passes, camera_pairs, 0, check)
@@ -293,13 +301,14 @@ def _collect(
 
 
 def _facing(votes: _Votes, rig: Rig, settings: CandidatesSettings) -> _Votes:
-    """Votes of the cameras whose axes permit a match: on repeated walls the others match by chance."""
+    """Votes of the cameras whose axes permit a match: with repeated walls the others match by chance."""
     use = allowed_within(rig, settings.axes_deg)[votes.a, votes.b]
     return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])
 
 
 def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
-    """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and which half of the frames (0, 1) it is of."""
+    """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and the half of the frames (0, 1) that it
+    belongs to."""
     frames = int(np.clip(tuning.samples // max(1, len(camera_pairs)), tuning.least_frames, tuning.frames))
     some = [passes[k] for k in evenly(len(passes), frames)]
     each = max(1, frames // max(1, len(some)))
@@ -318,7 +327,7 @@ def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning
 
 
 def _evidence(rows: np.ndarray, excess: np.ndarray, sensors: int) -> np.ndarray:
-    """(2, S, S) mean clipped ``excess`` (K,) of matches of either half of the frames, both ways; NaN = none."""
+    """(2, S, S) mean clipped ``excess`` (K,) of matches of each half of the frames, symmetric; NaN = none."""
     a, b, half = rows[0], rows[1], rows[4]
     total, count = np.zeros((2, sensors, sensors)), np.zeros((2, sensors, sensors))
     value = np.clip(excess, 0, 2.0)
@@ -333,7 +342,7 @@ def _axis_angle(rotation: np.ndarray) -> float:
 
 
 def _agreement(rig: Rig, votes: _Votes) -> float:
-    """Mean cosine between predicted and seen motion of the shared things, every camera pair with the same weight."""
+    """Mean cosine between predicted and seen motion of shared objects, every camera pair with the same weight."""
     cosine, pair = _cosines(rig, votes), votes.a * len(rig.sensors) + votes.b
     means = [float(np.mean(cosine[pair == p])) for p in np.unique(pair) if np.isfinite(cosine[pair == p]).all()]
     return float(np.mean(means)) if means else 0.0

@@ -1,7 +1,8 @@
-"""Do the cameras of a rig keep step? Frames that a camera lacks, and cameras whose images come frames too late.
+"""Are the cameras of a rig synchronised? Missing frames of a camera, and cameras whose images are some frames late.
 
-Two cameras of a rig that were triggered together stand in one place: their pictures match best in the same frame, and
-things jump from one to the other by what the angle between their axes says, at any distance. Both must speak for a lag.
+Cameras of a rig that were triggered together are at one place: their pictures match best in the same frame, and the
+shift of objects from one to the other follows from the angle between their axes, at any distance. A lag needs both as
+evidence.
 """
 
 from collections.abc import Sequence
@@ -17,12 +18,12 @@ from tiegraph.network.tuning.rig import SynchronisationTuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.sorting import evenly
 
-NAMED = 8  # passes told of one by one
+NAMED = 8  # passes listed singly
 
 
 def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: SynchronisationTuning) -> tuple[str, ...]:
-    """One note a pass whose cameras have different frames: how many each has, and from where on they are missing; and
-    one on passes that are much shorter than the others: one that ended early is as good as any to every later step."""
+    """One note for each pass whose cameras have different frames: how many each has, and where they are missing; and
+    one on passes that are much shorter than the others, because later steps do not notice a pass that ended early."""
     out = [text for p in passes if (text := _lacking(p, names))]
     if len(out) > NAMED:
         out = [*out[:NAMED], f"in {len(out) - NAMED} more passes some cameras lack frames too"]
@@ -35,8 +36,8 @@ def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: Synchronis
     if short:
         more = f"; and {len(short) - NAMED} more" if len(short) > NAMED else ""
         out.append(
-            f"short passes: {'; '.join(short[:NAMED])}{more}. Did they end early? Where nothing is said of how one "
-            "lies to the others, it is too short to tell"
+            f"short passes: {'; '.join(short[:NAMED])}{more}. Did they end early? A pass without a note on its "
+            "relation to the others is too short to determine it"
         )
     return tuple(out)
 
@@ -70,11 +71,11 @@ def _lacking(p: Pass, names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Steps:
-    """What K camera pairs (K, 2) share at offsets -L .. L: sensor c of frame m + offset against sensor d of frame m.
+    """The overlap of K camera pairs (K, 2) at offsets -L .. L: sensor c of frame m + offset with sensor d of frame m.
 
-    evidence (K, 2L+1), matches above min_matches in units of it; shift (K, 2L+1, 2) median motion in the picture from c
-    to d as a share of the image size, NaN = not seen; expected (K, 2) the same up to one factor; matches (K, 2L+1) mean
-    number of matches.
+    evidence (K, 2L+1), matches above min_matches in units of it; shift (K, 2L+1, 2) median motion in the picture from
+    c to d as a share of the image size, NaN = not seen; expected (K, 2) the same up to one factor; matches (K, 2L+1)
+    mean number of matches.
     """
 
     pairs: np.ndarray
@@ -89,8 +90,8 @@ class _Steps:
         return self.evidence.shape[1] // 2
 
     def off(self, among: np.ndarray) -> np.ndarray:
-        """(K, 2L+1) distance between the seen shift and the expected one, whose factor is told by the camera pairs of a
-        mask (K,) at offset 0; NaN = not seen or not known."""
+        """(K, 2L+1) distance between the seen and the expected shift, whose factor is estimated from the camera pairs
+        of a mask (K,) at offset 0; NaN = not seen or unknown."""
         seen, expected = self.shift[among, self.longest], self.expected[among]
         length = np.sum(expected**2, axis=1)
         ratio = np.sum(seen * expected, axis=1) / np.where(length > 1e-4, length, np.nan)
@@ -100,9 +101,9 @@ class _Steps:
 
 
 def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> list[str]:
-    """Cameras that by the images run some frames late or early against the others, one note a camera and lag.
+    """Cameras whose images are some frames late or early relative to the others, one note for each camera and lag.
 
-    In most surveys only the same frames are looked at; other offsets where those look odd, and for a stereo rig.
+    In most surveys only the same frames are previewed; other offsets if those look odd, and for a stereo rig.
     """
     sync = tuning.rig.synchronisation
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
@@ -169,7 +170,8 @@ def _measured(
 
 
 def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
-    """Whether the same frames give reason to look at others: unequal counts, wrong shifts, a camera none matches."""
+    """Whether the same frames give reason to preview others: unequal counts, wrong shifts, a camera that matches
+    none."""
     counts = {int(n) for s, n in zip(p.rig.sensors, (p.images >= 0).sum(axis=1)) if s.role != "up"}
     evidence = now.evidence[:, 0]
     faint = evidence < max(tuning.faint * float(np.median(evidence)), tuning.least)
@@ -179,11 +181,11 @@ def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
 
 
 def _lags(steps: _Steps, sensors: int, tuning: SynchronisationTuning) -> np.ndarray:
-    """(S,) frames that each camera runs late; 0 unless evidence and shifts both say otherwise. Greedy, one by one."""
+    """(S,) frames by which each camera is late; 0 unless evidence and shifts both show it. Greedy, one by one."""
     lags = np.zeros(sensors, int)
-    for _ in range(sensors // 2):  # the step of most cameras is the rig's
+    for _ in range(sensors // 2):  # the time of most cameras is the rig's
         best, change = 0.0, None
-        for c in np.unique(steps.pairs)[::-1]:  # the reference camera last: it keeps its time if it can
+        for c in np.unique(steps.pairs)[::-1]:  # the reference camera last: it keeps its time if possible
             for lag in range(-steps.longest, steps.longest + 1):
                 gain = _gain(steps, lags, int(c), lag, tuning)
                 if lag != lags[c] and gain > best:
@@ -195,7 +197,7 @@ def _lags(steps: _Steps, sensors: int, tuning: SynchronisationTuning) -> np.ndar
 
 
 def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: SynchronisationTuning) -> float:
-    """Evidence won by moving one camera to a lag; 0 where not every one of its pairs agrees."""
+    """Evidence gained by moving one camera to a lag; 0 unless all of its pairs agree."""
     moved = lags.copy()
     moved[sensor] = lag
     before, after = (steps.longest + v[steps.pairs[:, 0]] - v[steps.pairs[:, 1]] for v in (lags, moved))
@@ -235,7 +237,7 @@ def _late(rig: Rig, sensor: int, lag: int, seen: list[tuple[str, str]]) -> str:
     frames = f"{abs(lag)} frame{'s' if abs(lag) > 1 else ''}"
     late, before = ("late", "before") if lag > 0 else ("early", "after")
     return (
-        f"{where}: {rig.sensors[sensor].name} ties as if it ran {frames} {late}: its images fit best those of the "
-        f"others taken {frames} {before} ({'; '.join(figures for _, figures in seen)}); all the same the rig is "
-        "taken as synchronised: rename the images so that those of one moment share a number"
+        f"{where}: {rig.sensors[sensor].name} seems to run {frames} {late}: its images match best those of the "
+        f"others taken {frames} {before} ({'; '.join(figures for _, figures in seen)}). The rig is used as "
+        "synchronised nevertheless: rename the images so that those of one instant share a number"
     )

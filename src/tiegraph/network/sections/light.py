@@ -1,8 +1,8 @@
-"""What the up camera says about sky or bridge above, and the two states that follow from it (paper 001, section b).
+"""Cues of the up camera for sky or bridge above, and the two states derived from them (paper 001, section b).
 
-The paper thresholds the brightness of the up camera. An automatic exposure undoes that: under a bridge it opens until
-the deck is as bright as the sky was. So every cue that does not depend on the exposure is asked too, each has a
-threshold of its own in every pass, and a cue that shows no clear contrast has no say.
+The paper thresholds the brightness of the up camera. An automatic exposure defeats that: under a bridge it increases
+until the deck is as bright as the sky was. So all cues that do not depend on the exposure are used too. Each has a
+threshold of its own in every pass, and a cue without a clear contrast is not used.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,9 +23,9 @@ _GAMMA = 2.2  # of grey values, to make them proportional to light
 class UpLight:
     """Cues of each image (N,), NaN = unknown; only those of up cameras are read.
 
-    brightness: mean grey value 0..255; sky_share: share of the picture that the masks leave out (sky and burnt out, in
-    an up camera), unless ``measure`` says by what else; exposure: exposure time in s x ISO / (f-number squared) as EXIF
-    gives them.
+    brightness: mean grey value 0..255; sky_share: share of the picture that the masks leave out (sky and overexposed
+    pixels, for an up camera), unless ``measure`` names another measure; exposure: exposure time in s x ISO /
+    (f-number squared) from EXIF.
     """
 
     brightness: np.ndarray
@@ -35,15 +35,15 @@ class UpLight:
 
 
 LIGHTS: dict[str, Callable[[Scene, Path, Callable[..., list[Any]]], UpLight]] = {}
-"""Ways by name (of ``network.sections``) to measure the light in a folder of images, beside that of the previews."""
+"""Named methods (of ``network.sections``) to measure the light in a folder of images, beside that of the previews."""
 
 
 @dataclass(frozen=True)
 class Cue:
-    """One cue by frame and what it decides.
+    """One cue by frame and its decision.
 
-    values (F,) NaN = none; threshold (F,) of the frame's pass, NaN = this pass is not decided by the cue; evidence (F,)
-    log likelihood ratio of bridge against open; figure: what was found, for people.
+    values (F,) NaN = none; threshold (F,) of the frame's pass, NaN = the cue is not used in this pass; evidence (F,)
+    log likelihood ratio of bridge against open; figure: the finding in words.
     """
 
     name: str
@@ -55,13 +55,13 @@ class Cue:
 
     @property
     def decided(self) -> bool:
-        """Whether the cue tells bridge from open in any pass."""
+        """Whether the cue separates bridge from open in any pass."""
         return bool(np.isfinite(self.threshold).any())
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """How a cue is read: ``contrast`` its classes must differ by (log2 where ``log``), and whether its scale is one and
+    """How a cue is read: ``contrast`` by which its classes must differ (log2 where ``log``), and whether its scale is
     the same in all passes, whatever the exposure."""
 
     name: str
@@ -72,7 +72,7 @@ class _Kind:
 
 
 def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: SectionsTuning) -> tuple[Cue, ...]:
-    """The cues that the up cameras of a scene offer; none where no camera looks up."""
+    """The cues of the up cameras of a scene; none if no camera looks up."""
     grey = by_up_frame(scene, light.brightness)
     cues = []
     if light.sky_share is not None:
@@ -119,11 +119,12 @@ def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass], tuning: Sectio
     threshold, evidence = np.full(len(values), np.nan), np.zeros(len(values))
     for p, own in zip(passes, splits):
         if not clear(own):
-            # A pass without a contrast of its own: another pass's threshold holds only where exposure plays no part.
+            # A pass without a contrast of its own: another pass's threshold holds only where exposure has no
+            # influence.
             own = good[len(good) // 2] if good and kind.absolute else None
         if own is not None:
             threshold[p.frames] = 2**own.threshold if kind.log else own.threshold
-            # The scatter within a class is believed no smaller than a sixth of the contrast
+            # The scatter within a class is assumed at least a sixth of the contrast
             gain = (own.high - own.low) / max(own.scatter, (own.high - own.low) / 6) ** 2
             say = gain * (0.5 * (own.low + own.high) - scaled[p.frames])
             evidence[p.frames] = np.clip(np.nan_to_num(say), -tuning.frame_say, tuning.frame_say)
@@ -151,7 +152,7 @@ def _figure(kind: _Kind, split: "Otsu | None", tuning: SectionsTuning) -> str:
 
 
 def _split(values: np.ndarray, least: int) -> "Otsu | None":
-    """The split of what is known, of so many frames at least; a class of one frame separates nothing."""
+    """The split of the known values, of at least this many frames; a class of one frame separates nothing."""
     known = values[np.isfinite(values)]
     if len(known) < least:
         return None
@@ -203,7 +204,7 @@ def two_states(evidence: np.ndarray, tuning: SectionsTuning) -> np.ndarray:
     n = len(say)
     cost, back = np.zeros(2), np.zeros((n, 2), int)
     for k in range(n):
-        stay, move = cost, cost[::-1] + (2.5 if k else 0.0)  # against one odd frame
+        stay, move = cost, cost[::-1] + (2.5 if k else 0.0)  # against single odd frames
         back[k] = np.where(stay <= move, [0, 1], [1, 0])
         cost = np.minimum(stay, move) + np.array([0.5, -0.5]) * say[k]
     state = np.zeros(n, bool)

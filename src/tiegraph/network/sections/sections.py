@@ -27,7 +27,7 @@ class SectionResult:
 
     sections: tuple[Section, ...]
     of_frame: np.ndarray
-    threshold: float  # grey value, mean over the passes; NaN = brightness did not decide
+    threshold: float  # grey value, mean over the passes; NaN = brightness was not used
     notes: tuple[str, ...]
     cues: tuple[Cue, ...] = ()
 
@@ -37,7 +37,7 @@ def find_sections(
 ) -> SectionResult:
     """Sections of a scene from the cues of its up cameras, or from the mean grey value (N,) of its images alone.
 
-    One section, and the figures that say why, where nothing tells bridge from open sky.
+    One section, with the figures that explain it, if nothing separates bridge from open sky.
     """
     light = light if isinstance(light, UpLight) else UpLight(np.asarray(light, float))
     cues = read_cues(scene, passes, light, tuning)
@@ -81,7 +81,7 @@ def _thresholds(cues: Sequence[Cue], passes: Sequence[Pass]) -> str:
         known = {p.name: float(cue.threshold[p.frames[0]]) for p in passes if np.isfinite(cue.threshold[p.frames[0]])}
         each = ", ".join(f"{value:.3g}{cue.unit} ({name})" for name, value in list(known.items())[:6])
         more = f" and {len(known) - 6} more passes" if len(known) > 6 else ""
-        parts.append(f"{cue.name} below {each}{more}" if known else f"no say: {cue.figure}")
+        parts.append(f"{cue.name} below {each}{more}" if known else f"not used: {cue.figure}")
     return "; ".join(parts)
 
 
@@ -92,10 +92,10 @@ def _runs(dark: np.ndarray) -> list[tuple[int, int, bool]]:
 
 
 def join_places(result: SectionResult, scene: Scene, pairs: Pairs, tuning: SectionsTuning) -> SectionResult:
-    """Sections of different passes that show one place (the same bridge, there and back) become one section.
+    """Sections of different passes at one place (the same bridge, there and back) become one section.
 
-    The sections of two passes are aligned in order, or in reversed order where that gathers more kept pairs: on a short
-    survey everything sees everything, and the most pairs alone would join a bridge's two banks crosswise.
+    The sections of two passes are aligned in order, or in reversed order if that collects more kept pairs: on a short
+    survey everything sees everything, and the most pairs alone would join the two banks of a bridge crosswise.
     """
     count = len(result.sections)
     if count < 2:
@@ -122,7 +122,7 @@ def join_places(result: SectionResult, scene: Scene, pairs: Pairs, tuning: Secti
 
 
 def _aligned(density: np.ndarray, passes: np.ndarray) -> list[tuple[int, int]]:
-    """Sections (one, other) of two passes that stand for each other, those that share most first."""
+    """Sections (one, other) of two passes at the same place, those that share most first."""
     found: list[tuple[int, int]] = []
     tracks = np.unique(passes)
     for k, p in enumerate(tracks):

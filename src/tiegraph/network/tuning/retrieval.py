@@ -1,4 +1,4 @@
-"""What the room looks decides by: each constant with its unit, its meaning and where its value comes from."""
+"""Constants of retrieval, each with its unit, meaning and origin."""
 
 from pydantic import Field
 
@@ -9,11 +9,11 @@ class VocabularyTuning(Section):
     """Visual words (`vocabulary.py`)."""
 
     vocabularies: int = Field(2, gt=0)
-    """Vocabularies, with other starts; two find 0.01 to 0.02 more than one."""
+    """Number of vocabularies, with different starts; two find 0.01 to 0.02 more than one."""
     training: int = Field(200_000, gt=0)
-    """Descriptors a vocabulary is learnt from, at most: 100 MB."""
+    """Descriptors from which a vocabulary is learnt, at most: 100 MB."""
     rounds: int = Field(8, ge=0)
-    """Of k-means."""
+    """Rounds of k-means."""
 
 
 class LooseTuning(Section):
@@ -25,60 +25,61 @@ class LooseTuning(Section):
     """
 
     all_limit: int = Field(100, ge=0)
-    """Images that are all previewed with one another: 4950 previews, half a minute."""
+    """Images up to which all pairs are previewed: 4950 previews, half a minute."""
     best: int = Field(5, ge=0)
-    """Pairs of an image kept whatever their count, so that no image stands alone."""
+    """Pairs of an image that are kept whatever their count, so that no image is without pairs."""
     start: int = Field(8, gt=0)
-    """Look-alikes an image starts with: nine of ten share something."""
+    """Look-alikes with which an image starts: nine of ten share something."""
     by_name: int = Field(2, ge=0)
-    """Next photographs by name an image starts with: a camera numbers its pictures."""
+    """Next photographs by name with which an image starts: a camera numbers its pictures."""
     hit_rate: float = Field(0.15, ge=0, le=1)
     """A round in which a smaller share of the previews ties is the last."""
     few_ties: int = Field(4, ge=0)
-    """An image with fewer goes further down its list of look-alikes."""
+    """Ties of an image below which it goes further down its list of look-alikes."""
     support: float = Field(3.0, ge=0)
-    """Weight of the cosine between two images' ties, against their count in units of `min_matches`."""
+    """Weight of the cosine between two images' ties relative to their count in units of `min_matches`."""
     enough: float = Field(2.0, ge=0)
-    """What count and weighted cosine must reach together."""
+    """Sum of count and weighted cosine from which a pair is kept."""
 
 
 class LoopSearchTuning(Section):
     """Loops of passes (`timeline.py`, `retrieval.py`)."""
 
     ladder: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
-    """Frame distances at which likeness along a pass is measured."""
+    """Frame distances at which similarity along a pass is measured."""
     strides_a_reach: int = Field(3, gt=0)
     """Sampled frames within a reach."""
     look_alikes: int = Field(4, gt=0)
-    """Far images that each sampled image is previewed with."""
+    """Far images with which each sampled image is previewed."""
     patch: int = Field(10, ge=0)
-    """Pairs borne out side by side, or none of them is believed. Simulated, four seeds of 300 frames: false patches
-    reach 9 where one unrelated preview in five hits, 12 where three in ten do. On ``canal`` it costs two patches of 6
-    and 9. In long surveys the whole rig must bear them out too (`retrieval.py`): there walls that repeat make
-    patches of any size."""
+    """Adjacent confirmed pairs that are needed to accept any of them. Simulated, four seeds of 300 frames: false
+    patches reach 9 if one unrelated preview in five ties, 12 if three in ten do. On ``canal`` it costs two patches of
+    6 and 9. In long surveys the whole rig must confirm them too (`retrieval.py`): there repeated walls make patches
+    of any size."""
     previews_an_image: int = Field(16, ge=0)
-    """Of those sampled: the most that looking for loops may take."""
+    """Previews per sampled image, at most, for the search for loops."""
     speaks: float = Field(0.4, ge=0, le=1)
-    """Of the way from the level of unrelated frames to the highest: what a camera must reach there."""
+    """Level that a camera must reach at a loop, as a share of the range from the noise floor to the highest."""
     most_cameras: float = Field(0.6, ge=0, le=1)
-    """Share of a rig's cameras that must. Simulated, 2004 images: false loops 0.17 to 0.5, true ones 0.83 to 1."""
+    """Share of a rig's cameras that must reach it. Simulated, 2004 images: false loops 0.17 to 0.5, true ones 0.83 to
+    1."""
 
 
 class CopiesTuning(Section):
     """Passes that hold the same pictures (`offsets.py`)."""
 
     found_again: float = Field(0.55, ge=0, le=1)
-    """Share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5."""
+    """Share of the features found again in a copy; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5."""
     strong: float = Field(3.0, gt=0)
-    """Times `min_matches`: less is no ground to look closer."""
+    """Factor on `min_matches` from which a pair is tested for that."""
 
 
 class RetrievalTuning(Section):
-    """Which images look alike."""
+    """Retrieval of look-alikes."""
 
     sure_alike: float = Field(1.2, gt=0)
-    """Times `min_matches`: a single preview of two images that look alike must be surer than an average over
-    neighbouring frames, but its neighbours, in time or in the graph of ties, are asked before it is kept."""
+    """Factor on `min_matches`: a single preview of two similar images must be surer than an average over neighbouring
+    frames, but its neighbours, in time or in the graph of ties, are tested before it is kept."""
     vocabulary: VocabularyTuning = Field(default_factory=VocabularyTuning)
     """Visual words."""
     loose: LooseTuning = Field(default_factory=LooseTuning)

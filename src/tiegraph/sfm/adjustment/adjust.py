@@ -1,4 +1,4 @@
-"""The final bundle adjustment: robust, with principal points, which COLMAP's mappers hold fixed."""
+"""The final bundle adjustment: robust, with free principal points, which COLMAP's mappers hold fixed."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -32,15 +32,16 @@ def final_adjustment(
     *,
     tuning: AdjustTuning,
 ) -> Adjustment:
-    """Adjust poses, points, rig, intrinsics with principal points: plain, then twice cut at 2 px and Cauchy at 0.5 px.
+    """Adjust poses, points, rig and intrinsics with principal points: once plainly, then twice robustly (Cauchy scale
+    0.5 px) after points above 2 px were removed.
 
-    All but the last with few points where there are many (``fewpoints``).
+    All adjustments but the last use few points where there are many (``fewpoints``).
 
-    ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
-    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free radial ones become
-    OPENCV (``lens``). ``soft``: what is known of poses with a sigma. ``doubted``: constant cameras whose calibration
-    gives way if that explains the images clearly better. A camera whose adjusted intrinsics no lens has keeps its own,
-    and that is said.
+    ``fixed_rigs``: COLMAP ids of rigs whose extrinsics are held. ``constant_cameras``, and cameras with fewer than 10
+    images, keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free radial
+    cameras become OPENCV (``lens``). ``soft``: poses that are known with a sigma. ``doubted``: constant cameras whose
+    calibration is released if that explains the images clearly better. A camera whose adjusted intrinsics are
+    impossible for a lens keeps its own, and a note says so.
     """
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
@@ -64,7 +65,7 @@ def final_adjustment(
     bad = impossible_camera(model.cameras, adjusted.cameras, free, tuning)
     if bad:
         held = final_adjustment(model, fixed_rigs, {*constant_cameras, bad}, soft, doubted, tuning=tuning)
-        note = f"camera {bad} keeps its intrinsics: what the adjustment makes of them no lens has; {held.note}"
+        note = f"camera {bad} keeps its intrinsics, because the adjusted ones are impossible for a lens; {held.note}"
         return Adjustment(held.model, note)
     before, after = model.compute_mean_reprojection_error(), adjusted.compute_mean_reprojection_error()
     moved = [_centre_shift(model.cameras[c], adjusted.cameras[c]) for c in free]
@@ -82,11 +83,11 @@ def adjusted_to(
     *,
     tuning: AdjustTuning,
 ) -> pycolmap.Reconstruction:
-    """A copy of a model that was adjusted before, with its frames at the ``places`` of what is known, if there are any,
-    and all else where the images have it then: the last step of ``final_adjustment``.
+    """A copy of an adjusted model whose frames are moved to the given ``places``, if there are any; everything else
+    follows as the images determine it. This is the last step of ``final_adjustment``.
 
-    Its points are brought to where their rays meet first. Points far out in the robust loss slide for tens of steps,
-    and an adjustment that waits for them does not stop when all else has.
+    The points are first moved to where their rays meet. Points far out in the robust loss slide for tens of steps,
+    and an adjustment that waits for them does not stop when everything else has converged.
     """
     out = pycolmap.Reconstruction(model)
     solve_points(out, tuning)
@@ -97,7 +98,7 @@ def adjusted_to(
 
 
 def without_outliers(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
-    """The robust loss lets go of some points; those that went behind a camera have an infinite error."""
+    """Remove the points that the robust loss gave up; points that went behind a camera have an infinite error."""
     manager = pycolmap.ObservationManager(model)
     manager.filter_observations_with_negative_depth()
     manager.filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
@@ -112,7 +113,8 @@ def _with_doubted(
     soft: PoseConstraints | None,
     tuning: AdjustTuning,
 ) -> tuple[pycolmap.Reconstruction, str]:
-    """The model adjusted with distortion of these calibrated cameras, if that explains the images better; a note."""
+    """The model adjusted with free distortion of these calibrated cameras, if that explains the images better, and a
+    note."""
     names = lens.extensible(model, doubted, lens.UNDISTORTED)
     if not names:
         return model, ""
@@ -124,17 +126,20 @@ def _with_doubted(
         return model, ""
     most = max(lens.difference_px(model.camera(k), trial.camera(k)) for k in names)
     return trial, (
-        f"; the lenses are not as calibrated: distortion and small changes of the rest were estimated, up to "
-        f"{most:.1f} px (median over the image), and the robust sum of squares fell by {100 * gain:.0f} %"
+        "; the lenses differ from their calibration: distortion and small changes of the other parameters were "
+        f"estimated, up to {most:.1f} px (median over the image), and the robust sum of squares fell by "
+        f"{100 * gain:.0f} %"
     )
 
 
 def drop_momentary(model: pycolmap.Reconstruction, enough: int) -> int:
-    """Delete the points that only cameras of one shot see, where their frames see enough others; how many went.
+    """Delete points seen only by cameras of one shot, where their frames see enough other points; returns their
+    number.
 
-    The cameras of a rig stand centimetres apart: what two of them match in one shot, right or wrong, meets somewhere on
-    an epipolar line, near by if it is wrong, and a point near by weighs much. Right ones are seen again. On canal 21 of
-    42 000 points, 0.2 to 0.9 m away where nothing is, bent the path by 4 mm.
+    The cameras of a rig are centimetres apart: any match between two of them in one shot, right or wrong, intersects
+    somewhere on an epipolar line. Wrong matches intersect close to the rig, where a point has a large weight; points
+    of right matches are seen again by other shots. On canal 21 of 42 000 points, 0.2 to 0.9 m away in empty water,
+    bent the path by 4 mm.
     """
     frame = {i: model.image(i).frame_id for i in model.reg_image_ids()}
     others = dict.fromkeys(model.reg_frame_ids(), 0)
@@ -153,7 +158,7 @@ def drop_momentary(model: pycolmap.Reconstruction, enough: int) -> int:
 
 
 def robust_cost(model: pycolmap.Reconstruction, scale_px: float) -> float:
-    """Mean Cauchy cost of an observation, px2: the measure of the robust adjustment."""
+    """Mean Cauchy cost of an observation, px2: the cost function of the robust adjustment."""
     total, count = 0.0, 0
     for image_id in model.reg_image_ids():
         image = model.image(image_id)
@@ -171,7 +176,7 @@ def robust_cost(model: pycolmap.Reconstruction, scale_px: float) -> float:
 
 
 def free_cameras(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> set[int]:
-    """COLMAP ids of the cameras with enough images that see points: the others keep their intrinsics."""
+    """COLMAP ids of the cameras with enough images that see points; all other cameras keep their intrinsics."""
     images = [model.image(i) for i in model.reg_image_ids()]
     cameras = [i.camera_id for i in images if i.num_points3D >= tuning.min_points]
     return {c for c in set(cameras) if cameras.count(c) >= tuning.min_images}
@@ -212,7 +217,7 @@ def _solve(
 
 
 def solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
-    """Each point to where its rays meet; all else stays."""
+    """Move each point to where its rays meet; everything else is held."""
     options = options_of(
         tuning.points_iterations,
         tuning.tolerance,
@@ -227,7 +232,7 @@ def solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
 
 
 def _anchor(model: pycolmap.Reconstruction) -> int:
-    """A frame to hold still: the one that sees most points."""
+    """A frame to hold fixed: the one that sees most points."""
     seen = dict.fromkeys(model.reg_frame_ids(), 0)
     for i in model.reg_image_ids():
         image = model.image(i)
@@ -240,7 +245,7 @@ def _centre_shift(a: pycolmap.Camera, b: pycolmap.Camera) -> float:
 
 
 def impossible_camera(before: Cameras, after: Cameras, cameras: Collection[int], tuning: AdjustTuning) -> int | None:
-    """The first of ``cameras`` (COLMAP ids) whose adjusted intrinsics no lens has, or None."""
+    """The first of ``cameras`` (COLMAP ids) whose adjusted intrinsics are impossible for a lens, or None."""
     least, most = tuning.focal_range
     for camera_id in sorted(cameras):
         camera = after[camera_id]

@@ -1,4 +1,4 @@
-"""What is known of poses with a sigma, as residuals beside the reprojection errors in Ceres' problem."""
+"""Poses that are known with a sigma, as residuals beside the reprojection errors in Ceres' problem."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from tiegraph.sfm.tuning import AdjustTuning
 
 @dataclass(frozen=True)
 class RelativePosePrior:
-    """Image ``second`` against ``first`` (COLMAP image ids, frames of their own): relative pose and covariance."""
+    """Image ``second`` relative to ``first`` (COLMAP image ids, each in a frame of its own): relative pose and
+    covariance."""
 
     first: int
     second: int
@@ -41,7 +42,7 @@ class SensorPrior:
 
 @dataclass(frozen=True)
 class PairPrior:
-    """Two sensors of a rig: the length of their baseline and the angle between their axes, each None = not known."""
+    """Two sensors of a rig: the length of their baseline and the angle between their axes; None = not known."""
 
     rig_id: int
     cameras: tuple[int, int]
@@ -53,7 +54,7 @@ class PairPrior:
 
 @dataclass(frozen=True)
 class PlacePrior:
-    """Where the frame of an image (COLMAP id) stands: ``place`` (3,) and sigmas (3,) along the axes, model units."""
+    """The place of the frame of an image (COLMAP id): ``place`` (3,) and sigmas (3,) along the axes, model units."""
 
     image: int
     place: np.ndarray
@@ -62,9 +63,9 @@ class PlacePrior:
 
 @dataclass(frozen=True)
 class PoseConstraints:
-    """All soft knowledge of one adjustment; true where it holds lengths.
+    """All priors with a sigma of one adjustment; true in a boolean context if one of them is a length.
 
-    ``nominal``: geometry of nominal rigs by rig id (``leverarmprior``); it tells no size.
+    ``nominal``: geometry of nominal rigs by rig id (``leverarmprior``); it does not determine the scale.
     """
 
     relative_poses: Sequence[RelativePosePrior] = ()
@@ -84,9 +85,10 @@ def add_priors(
     tuning: AdjustTuning,
     given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> list[Any]:
-    """What a rig file gives with a sigma, what lenses look like, what a rig lets expect; keep it until it has solved.
+    """Add the priors of the rig file, of the lenses and of the rig's shape; keep the returned objects until the
+    problem is solved.
 
-    ``given``: as of ``lens.add_priors``.
+    ``given``: as in ``lens.add_priors``.
     """
     soft = PoseConstraints() if soft is None else soft
     kept = _add_constraints(adjuster, model, soft, tuning.robust_px)
@@ -97,10 +99,10 @@ def add_priors(
 def _add_constraints(
     adjuster: Any, model: pycolmap.Reconstruction, soft: PoseConstraints, robust_px: float
 ) -> list[Any]:
-    """Add the residuals to the problem of an adjuster over ``model``; keep what is returned until it has solved.
+    """Add the residuals to the problem of an adjuster over ``model``; keep the returned objects until it is solved.
 
-    The reprojection errors are in pixels and not divided by their sigma; so that both weigh what they should, the
-    priors are multiplied by it: ``robust_px``.
+    The reprojection errors are in pixels and not divided by their sigma. To have the right weight relative to them,
+    the priors are multiplied by that sigma, ``robust_px``.
     """
     problem = adjuster.problem
     kept: list[Any] = []
@@ -145,7 +147,8 @@ def pose_block(model: pycolmap.Reconstruction, image_id: int) -> np.ndarray:
 
 
 def _extrinsics(model: pycolmap.Reconstruction, rig_id: int, camera_id: int) -> np.ndarray | None:
-    """The memory (7,) of a sensor's extrinsics in the model, None for a reference; the accessor by id gives a copy."""
+    """The memory (7,) of a sensor's extrinsics in the model, None for a reference; pycolmap's accessor by id returns
+    a copy."""
     for identity, pose in model.rigs[rig_id].non_ref_sensors.items() if rig_id in model.rigs else ():
         if identity.id == camera_id and pose is not None:
             return np.asarray(pose.params)
@@ -171,7 +174,8 @@ _STEP = 1e-7
 
 
 def _pair_cost(pair: PairPrior, free: Sequence[bool], weight: float) -> Any:
-    """Paper 001's constraint as a Ceres cost; a sensor that is the reference has no block. Numeric derivatives: few."""
+    """Paper 001's constraint as a Ceres cost; the reference sensor has no block. Derivatives are numeric: there are
+    few."""
 
     class PairCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:

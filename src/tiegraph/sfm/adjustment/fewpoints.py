@@ -1,7 +1,8 @@
-"""Fewer points for the adjustments that bring a model near: the longest tracks, spread over each image.
+"""Adjustments with fewer points, for models that are not yet near their solution: the longest tracks, spread over
+each image.
 
-Such a round needs poses good to a tenth of a pixel, not all that can be known, and its time goes with the observations;
-COLMAP's mappers do likewise (github.com/colmap/colmap/pull/3650). The last adjustment takes all points.
+Such a round needs poses good to a tenth of a pixel, not the best possible ones, and its time grows with the number of
+observations. COLMAP's mappers do the same (github.com/colmap/colmap/pull/3650). The last adjustment uses all points.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from tiegraph.sfm.tuning import FewPointsTuning
 
 
 def thinned(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> pycolmap.Reconstruction:
-    """A copy without the points that can wait; the model itself where that would not be worth it."""
+    """A copy without the points that are not needed yet; the model itself where too few could be left out."""
     waiting = points_that_can_wait(model, tuning)
     if not waiting:
         return model
@@ -23,8 +24,8 @@ def thinned(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> pycolmap
 
 
 def take_poses(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> None:
-    """Give ``model`` the intrinsics, rigs and poses of the same model adjusted with fewer points; its points follow the
-    images that see them."""
+    """Give ``model`` the intrinsics, rigs and poses of its copy that was adjusted with fewer points; its points
+    follow the images that see them."""
     _take_points_along(model, few)
     take_cameras(model, few)
     for key, rig in few.rigs.items():
@@ -36,10 +37,10 @@ def take_poses(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> 
 
 
 def _take_points_along(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> None:
-    """Each point to the mean of the places it has where its images' poses in ``few`` leave it.
+    """Move each point to the mean of the places that follow from the new poses in ``few`` of the images that see it.
 
-    A model of thousands of images straightens by metres in its first adjustment: points that stayed behind were lost to
-    the limits of pixels (479 of 599 thousand of 4020 images), and their rigs looked torn.
+    A model of thousands of images straightens by metres in its first adjustment. Points that were not moved along
+    exceeded the limits in pixels and were lost (479 of 599 thousand of 4020 images), and the rigs looked torn.
     """
     ids = np.array(sorted(model.point3D_ids()), int)
     place = np.stack([model.point3D(k).xyz for k in ids.tolist()]) if len(ids) else np.zeros((0, 3))
@@ -55,8 +56,8 @@ def _take_points_along(model: pycolmap.Reconstruction, few: pycolmap.Reconstruct
 
 
 def points_that_can_wait(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> list[int]:
-    """Ids of the points that are not among the longest tracks of any cell of any image, in their order; none where
-    most of the observations would stay."""
+    """Ids, in order, of the points that are not among the longest tracks of any cell of any image; none if more than
+    the worthwhile share of the observations would stay."""
     cell, point = _sightings(model, tuning.cells)
     length = dict(zip(*(v.tolist() for v in np.unique(point, return_counts=True))))
     order = np.lexsort((point, -np.array([length[p] for p in point.tolist()], int), cell))
@@ -69,7 +70,7 @@ def points_that_can_wait(model: pycolmap.Reconstruction, tuning: FewPointsTuning
 
 
 def _sightings(model: pycolmap.Reconstruction, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """(O,) number of the image's cell and (O,) id of the point, of every observation."""
+    """(O,) number of the image's cell and (O,) id of the point, for every observation."""
     cell, point = [np.zeros(0, int)], [np.zeros(0, int)]
     for image_id in sorted(model.reg_image_ids()):
         image = model.image(image_id)

@@ -1,4 +1,4 @@
-"""Derivatives of a model's reprojection errors by poses, rig, intrinsics and points."""
+"""Derivatives of a model's reprojection errors with respect to poses, rig, intrinsics and points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _SEED = 0
 
 
 class Layout:
-    """Columns of the unknowns: six a frame (shift of its centre, rotation), six a sensor, then the intrinsics."""
+    """Columns of the unknowns: six for each frame (shift of its centre, rotation), six for each sensor, then the
+    intrinsics."""
 
     def __init__(
         self,
@@ -54,9 +55,9 @@ class Layout:
         tuning: AdjustTuning,
         nominal: Mapping[int, leverarmprior.NominalGeometry] | None = None,
     ) -> sparse.csr_matrix:
-        """(C, C) information of what is expected of lenses and of places in a rig before the images speak.
+        """(C, C) information matrix of the priors of lenses and of places in a rig.
 
-        ``model``: the one of these unknowns; ``nominal``: geometry of nominal rigs by rig id.
+        ``model``: the model of these unknowns; ``nominal``: geometry of nominal rigs by rig id.
         """
         parts = []
         for rig_id in self.rigs:
@@ -79,7 +80,7 @@ def _chosen(key: int, free: bool | Collection[int]) -> bool:
 
 
 def _expected(camera: pycolmap.Camera, tuning: LensTuning) -> np.ndarray:
-    """Covariance of a camera's parameters as the adjustment expects them; weak for models without priors there."""
+    """Prior covariance of a camera's parameters in the adjustment; large for camera models without priors there."""
     if camera.model == pycolmap.CameraModelId.OPENCV:
         return lens.covariance(camera.mean_focal_length(), tuning)
     pixels = set(camera.focal_length_idxs()) | set(camera.principal_point_idxs())
@@ -90,7 +91,7 @@ def _expected(camera: pycolmap.Camera, tuning: LensTuning) -> np.ndarray:
 
 @dataclass(frozen=True)
 class System:
-    """The linearised observations: two rows each, images in the order of their ids."""
+    """The linearised observations: two rows for each observation, images in the order of their ids."""
 
     cameras: sparse.csr_matrix  # (2O, C) by poses, rig, intrinsics
     points: sparse.csr_matrix  # (2O, 3P)
@@ -103,7 +104,8 @@ class System:
 
 
 def sampled(points: Iterable[int], most: int) -> tuple[list[int], float]:
-    """At most so many ids of points, drawn at random, the same each time, in order; which share of all these are."""
+    """At most ``most`` ids of points in order, drawn at random with a fixed seed, and the share of all points that
+    they are."""
     ids = np.array(sorted(points))
     share = min(1.0, most / max(len(ids), 1))
     if share < 1:
@@ -135,7 +137,7 @@ def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[in
 
 
 def _by_rows(parts: list[tuple[np.ndarray, np.ndarray]], width: int) -> sparse.csr_matrix:
-    """(2O, width) of observations (O, 2, D) and their columns (2O, D), part below part."""
+    """(2O, width) matrix of observations (O, 2, D) and their columns (2O, D), stacked."""
     each = np.concatenate([np.full(len(columns), columns.shape[1]) for _, columns in parts])
     data, index = (np.concatenate([part[k].ravel() for part in parts]) for k in (0, 1))
     return sparse.csr_matrix((data, index, np.append(0, np.cumsum(each))), shape=(len(each), width))
@@ -162,7 +164,8 @@ class _Observations:
 
     @staticmethod
     def of(model: pycolmap.Reconstruction, point_ids: list[int]) -> _Observations:
-        """All of them. Asking pycolmap for an image or an array of two numbers takes a microsecond: once each."""
+        """All observations of the points. Asking pycolmap for an image or an array of two numbers takes a
+        microsecond, so each is asked for once."""
         points = [model.point3D(k) for k in point_ids]
         elements = [point.track.elements for point in points]
         flat = np.array([(e.image_id, e.point2D_idx) for track in elements for e in track], np.int64).reshape(-1, 2)
@@ -179,7 +182,7 @@ class _Observations:
         return found
 
     def of_images(self) -> list[tuple[int, slice]]:
-        """(id, its rows) of each image."""
+        """(id, rows) of each image."""
         ids, first = np.unique(self.image, return_index=True)
         ends = [*first[1:].tolist(), len(self.image)]
         return [(k, slice(*rows)) for k, *rows in zip(ids.tolist(), first.tolist(), ends)]
@@ -188,7 +191,7 @@ class _Observations:
 def of_image(layout: Layout, image: pycolmap.Image, world: np.ndarray, measured: np.ndarray) -> OfImage:
     """The linearised observations of one image.
 
-    ``world`` (O, 3): the points; ``measured`` (O, 2) pixels. A pose T = (R, c) moves as R Exp(-w) (X - c - v): the
+    ``world`` (O, 3): the points; ``measured`` (O, 2) pixels. A pose T = (R, c) moves as R Exp(-w) (X - c - v), so the
     unknown v is the shift of the centre itself.
     """
     camera, frame = image.camera, image.frame
@@ -226,7 +229,8 @@ def frame_pose(frame: pycolmap.Frame) -> pycolmap.Rigid3d:
 
 
 def _by_point(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
-    """(O, 2, 3) of pixels by camera-frame coordinates, central differences: right for every camera model."""
+    """(O, 2, 3) derivatives of pixels by camera-frame coordinates, by central differences: valid for every camera
+    model."""
     out = np.empty((len(xyz), 2, 3))
     step = 1e-5 * np.linalg.norm(xyz, axis=1, keepdims=True)
     for axis in range(3):
@@ -237,7 +241,7 @@ def _by_point(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
 
 
 def _by_params(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
-    """(O, 2, K) of pixels by the camera's parameters, central differences."""
+    """(O, 2, K) derivatives of pixels by the camera's parameters, by central differences."""
     params = np.array(camera.params)
     out = np.empty((len(xyz), 2, len(params)))
     for k, value in enumerate(params):
@@ -252,13 +256,13 @@ def _by_params(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
 
 
 def by_shift(seen: System, rows: np.ndarray) -> np.ndarray:
-    """(R, 2, 6) derivatives of observations by the shift of the image's centre and its turn, axes of the model."""
+    """(R, 2, 6) derivatives of observations by the shift of the image's centre and its rotation, model axes."""
     by_point = seen.by_point[rows]
     return np.concatenate([-by_point, by_point @ skew(seen.lever[rows])], axis=2)
 
 
 def of_lens(model: pycolmap.Reconstruction, seen: System, camera_id: int) -> sparse.csr_matrix:
-    """(2O, K) derivatives of all observations by the parameters of a camera."""
+    """(2O, K) derivatives of all observations by the parameters of one camera."""
     rows = np.flatnonzero(seen.camera == camera_id)
     images, number = np.unique(seen.image[rows], return_inverse=True)
     turns = np.array([matrix(model.image(i).cam_from_world())[:3, :3] for i in images.tolist()]).reshape(-1, 3, 3)

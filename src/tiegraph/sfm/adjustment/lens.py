@@ -1,10 +1,11 @@
-"""What lenses look like: aspect and decentring, which the mappers' cameras do not have, with priors.
+"""Priors of lens parameters: aspect and decentring, which the mappers' camera models do not have.
 
-RADIAL has one focal length and no tangential terms. What a lens has of these goes into principal point and rig instead:
-on canal_demo and canal (aspect 0.1-0.2 %, decentring 2e-4 to 5e-4) it turned the cameras of the rig by up to 0.22 and
-0.12 deg. The priors keep the terms where the images do not tell them: on straight tracks. SIMPLE_RADIAL, with which
-loose photographs are mapped, lacks a second radial term too: straight down over flat ground a drone's focal length
-makes up for it (mirafiori of the ladder: 1050 px for 1906; 1653 with all terms, which is 0.12 m off for 0.37).
+RADIAL has one focal length and no tangential terms. The principal point and the rig absorb what a real lens has of
+these: on canal_demo and canal (aspect 0.1-0.2 %, decentring 2e-4 to 5e-4) that turned the cameras of the rig by up to
+0.22 and 0.12 deg. The priors hold the terms where the images do not determine them, as on straight tracks.
+SIMPLE_RADIAL, used to map loose photographs, also lacks a second radial term: straight down over flat ground the
+focal length of a drone compensates for it (mirafiori of the ladder: 1050 px instead of 1906; with all terms 1653 px
+and 0.12 m off instead of 0.37).
 """
 
 from collections.abc import Collection, Mapping
@@ -23,12 +24,12 @@ UNDISTORTED = ("SIMPLE_PINHOLE", "PINHOLE")  # calibrations that say nothing of 
 def extensible(
     model: pycolmap.Reconstruction, cameras: Collection[int], kinds: Collection[str] = ("SIMPLE_RADIAL", "RADIAL")
 ) -> list[int]:
-    """Those of these cameras (COLMAP ids) whose model is of these kinds."""
+    """The cameras (COLMAP ids) whose camera model is one of these."""
     return [k for k in sorted(cameras) if model.camera(k).model.name in kinds]
 
 
 def extended(model: pycolmap.Reconstruction, cameras: Collection[int]) -> pycolmap.Reconstruction:
-    """A copy in which these cameras have COLMAP's model OPENCV, with the projection they had."""
+    """A copy in which these cameras have COLMAP's model OPENCV with an unchanged projection."""
     out = pycolmap.Reconstruction(model)
     for key in cameras:
         camera = out.camera(key)
@@ -39,7 +40,8 @@ def extended(model: pycolmap.Reconstruction, cameras: Collection[int]) -> pycolm
 
 
 def take_cameras(model: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> None:
-    """Give ``model`` the cameras of another of the same images, camera models too: the other's may be extended."""
+    """Give ``model`` the cameras of another model of the same images, with their camera models, which may be extended
+    ones."""
     for key, camera in other.cameras.items():
         model.camera(key).model = camera.model
         model.camera(key).params = camera.params
@@ -57,9 +59,9 @@ def _full(camera: pycolmap.Camera) -> np.ndarray:
 def add_priors(
     problem: Any, model: pycolmap.Reconstruction, given: Mapping[int, pycolmap.Camera], tuning: AdjustTuning
 ) -> list[Any]:
-    """Add what is expected of the OPENCV cameras that are unknowns of the problem; keep what is returned.
+    """Add the priors of those OPENCV cameras that are unknowns of the problem; keep the returned objects.
 
-    ``given``: calibrations by camera id, believed but for small changes and distortion.
+    ``given``: calibrations by camera id that are trusted except for small changes and distortion.
     """
     kept: list[Any] = []
     for key, camera in model.cameras.items():
@@ -75,7 +77,7 @@ def add_priors(
 
 
 def covariance(focal_px: float, tuning: LensTuning, calibrated: bool = False) -> np.ndarray:
-    """(8, 8) of OPENCV's parameters: what is expected of a lens before the images speak."""
+    """(8, 8) prior covariance of OPENCV's parameters."""
     focal, aspect = tuning.loose_focal, tuning.aspect
     centre, radial = tuning.loose_centre, tuning.loose_radial
     if calibrated:
@@ -89,7 +91,7 @@ def covariance(focal_px: float, tuning: LensTuning, calibrated: bool = False) ->
 
 
 def difference_px(a: pycolmap.Camera, b: pycolmap.Camera) -> float:
-    """Median distance between the images of the same ray by two calibrations, over the image of ``a``."""
+    """Median distance in pixels between the images of the same ray by two calibrations, over the image of ``a``."""
     x, y = np.linspace(0, a.width, 9), np.linspace(0, a.height, 9)
     grid = np.array([[u, v] for u in x for v in y])
     rays = np.column_stack([on_plane(a, grid), np.ones(len(grid))])

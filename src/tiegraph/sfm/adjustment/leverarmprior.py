@@ -1,10 +1,10 @@
-"""What is expected of a rig before the images speak: its cameras look outwards from one body.
+"""The prior of a rig's geometry: its cameras look outwards from one body.
 
-A camera that shares hardly a point with the others, the up camera of a boat, has its lever arm from a handful of
-tracks: on canal from 16 of them, with a sigma of 44 mm in a rig of 60 mm. What the other cameras' places have in
-common, a middle and a distance from it along their optical axes, is what is expected of it, with the spread that they
-have around it (empirical Bayes: Efron and Morris 1975). A camera that stands apart counts little, and
-where the images tell the place they outweigh it.
+A camera that shares hardly any point with the others, such as the up camera of a boat, has its lever arm from a
+handful of tracks: on canal from 16 of them, with a sigma of 44 mm in a rig of 60 mm. The other cameras have a middle
+and a distance from it along their optical axes in common; these predict the place of the camera, with the scatter of
+the others as its sigma (empirical Bayes: Efron and Morris 1975). A camera that does not follow the rule has a small
+weight, and where the images determine the place they outweigh the prior.
 """
 
 from collections.abc import Collection, Mapping
@@ -30,9 +30,10 @@ NominalGeometry = Mapping[
 def expected_centres(
     rig: pycolmap.Rig, tuning: LeverArmTuning, drawing: NominalGeometry | None = None
 ) -> dict[int, tuple[np.ndarray, float]]:
-    """Camera id -> where the other cameras let expect its centre in the rig (3,), and sigma of each coordinate.
+    """Camera id -> centre in the rig (3,) predicted from the other cameras, and the sigma of each coordinate.
 
-    In model units; not for the reference. Empty for rigs of fewer than five cameras and for those of one centre.
+    In model units, without the reference. Empty for rigs of fewer than five cameras and for rigs whose cameras share
+    one centre.
     """
     places = _places(rig, drawing)
     keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
@@ -48,7 +49,7 @@ def expected_centres(
 
 @dataclass(frozen=True)
 class _Places:
-    """Ids of all cameras but the reference; centres, axes and drawn centres (N, 3) of the reference, then of these."""
+    """Ids of all cameras but the reference; centres, axes and nominal centres (N, 3), the reference first."""
 
     keys: list[int]
     centres: np.ndarray
@@ -65,7 +66,7 @@ def _places(rig: pycolmap.Rig, drawing: NominalGeometry | None) -> _Places:
 
 
 def _as_drawn(centres: np.ndarray, drawn: np.ndarray, place: np.ndarray, inexact: float) -> tuple[np.ndarray, float]:
-    """Turn and size (about the reference, which is where it is) that fit the drawing (N, 3) best to these cameras."""
+    """Rotation and scale, about the fixed reference, that fit the nominal geometry (N, 3) best to these cameras."""
     u, stretch, v = np.linalg.svd(centres.T @ drawn)
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
     size = float(np.sum(stretch * np.diag(mirror)) / np.sum(drawn**2))
@@ -75,7 +76,7 @@ def _as_drawn(centres: np.ndarray, drawn: np.ndarray, place: np.ndarray, inexact
 
 
 def _outward(centres: np.ndarray, axes: np.ndarray, axis: np.ndarray, uneven: float) -> tuple[np.ndarray, float]:
-    """Middle and distance along the axis that fit these cameras (N, 3) best, for a camera with another axis (3,)."""
+    """Middle and distance along the axis that fit these cameras (N, 3) best, for another camera with this axis (3,)."""
     around, along = axes - axes.mean(axis=0), centres - centres.mean(axis=0)
     distance = max(float(np.sum(around * along) / max(np.sum(around**2), 1e-12)), 0.0)
     left = along - distance * around
@@ -86,9 +87,10 @@ def _outward(centres: np.ndarray, axes: np.ndarray, axis: np.ndarray, uneven: fl
 def information(
     rig: pycolmap.Rig, tuning: LeverArmTuning, drawing: NominalGeometry | None = None
 ) -> tuple[list[int], np.ndarray]:
-    """Ids of cameras and the information (3N, 3N) of their centres that this expectation adds, 1 / model units squared.
+    """Ids of cameras and the information (3N, 3N) on their centres that this prior adds, 1 / model units squared.
 
-    Of how they deviate from the rule, not of what the rule has from themselves: middle and distance, or turn and size.
+    It measures the deviation from the rule; the parameters of the rule (middle and distance, or rotation and scale)
+    are estimated from the same cameras and eliminated.
     """
     expected = expected_centres(rig, tuning, drawing)
     places = _places(rig, drawing)
@@ -118,12 +120,12 @@ def bring_back(
     nominal: Mapping[int, NominalGeometry] | None,
     tuning: AdjustTuning,
 ) -> bool:
-    """Put cameras that share hardly a point with others, and stand apart from where the others of their rig let expect
-    them, there; whether there are any. Not of rigs (ids) that are ``fixed``.
+    """Move cameras that share hardly any point with others, and are far from their predicted place in the rig, to
+    that place; returns whether there are any. Rigs (ids) that are ``fixed`` are left alone.
 
-    A camera that ties to itself alone, as one that looks up at a bridge, may stand anywhere along the vertical, with
-    all its points: a few false matches took it 3.4 m away in a rig of 0.06 m, and there the robust weight lets it be.
-    So the images have to take it away from its place, not this rule back to it.
+    A camera whose images tie only to each other, such as one that looks up at a bridge, may be anywhere along the
+    vertical with all its points. A few false matches took it 3.4 m away in a rig of 0.06 m, where the robust weight
+    no longer pulls it back. So it starts from its predicted place, and only the images can take it away from there.
     """
     rules, there = tuning.lever_arms, False
     for rig_id, rig in model.rigs.items():
@@ -140,7 +142,7 @@ def bring_back(
 
 
 def _shared(model: pycolmap.Reconstruction, camera: int) -> int:
-    """Points that a camera sees and another one too."""
+    """Number of points that a camera sees together with another camera."""
     of = {k: model.image(k).camera_id for k in model.reg_image_ids()}
     seen = ({of[e.image_id] for e in p.track.elements} for p in model.points3D.values())
     return sum(camera in cameras and len(cameras) > 1 for cameras in seen)
@@ -149,8 +151,8 @@ def _shared(model: pycolmap.Reconstruction, camera: int) -> int:
 def centres_of(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) centres -R^T t of pose blocks (N, 7), quaternion x y z w and translation, and (N, 3, 7) their Jacobians.
 
-    With the quaternion (u, w): R^T v = v - 2 w u x v + 2 u x (u x v). Off the unit sphere the formula goes on as it is;
-    the solver only uses directions along it.
+    With the quaternion (u, w): R^T v = v - 2 w u x v + 2 u x (u x v). The formula is used unchanged off the unit
+    sphere; the solver only uses directions along the sphere.
     """
     u, w, v = poses[:, :3], poses[:, 3, None, None], -poses[:, 4:]
     across, unit = skew(u), np.eye(3)
@@ -165,12 +167,13 @@ def centres_of(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class _CentresCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
-    """A root (R, 3N) of information times the centres (N, 3) of sensors in their rig. Blocks: their poses (7 each).
+    """Square root (R, 3N) of an information matrix times the centres (N, 3) of sensors in their rig. Blocks: their
+    poses (7 each).
 
-    pyceres sets up its arrays at the first call, and reads where the Jacobians go whether they are asked for or not.
-    Ceres asks for none where all blocks are constant, and that ended by SIGSEGV: so the constructor makes a first call.
-    Python residuals need the interpreter's lock: such a problem is solved with one thread (more wait for each other
-    for ever).
+    pyceres allocates its arrays at the first call and reads where the Jacobians go even if none are asked for. Ceres
+    asks for none where all blocks are constant, which ended in SIGSEGV; therefore the constructor makes a first call.
+    Residuals in Python need the interpreter's lock, so such a problem is solved with one thread (several threads
+    would wait for each other for ever).
     """
 
     def __init__(self, root: np.ndarray) -> None:
@@ -194,11 +197,11 @@ class _CentresCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
 def add_priors(
     problem: Any, model: pycolmap.Reconstruction, nominal: Mapping[int, NominalGeometry] | None, tuning: AdjustTuning
 ) -> list[Any]:
-    """Expect the sensors of each rig where all of them together let expect each; keep what is returned until it has
-    solved. ``nominal``: geometry of rigs by rig id.
+    """Add the prior of each rig's geometry to the problem; keep the returned objects until it is solved. ``nominal``:
+    geometry of rigs by rig id.
 
-    The rule's own unknowns are eliminated (``information``). With the rule held as the model had it before, each
-    adjustment went a part of the way only: on canal_demo, a nominal rig, twelve in a row went from 5.9 to 2.8 mm.
+    The rule's own unknowns are eliminated (``information``). With the rule held at the model's previous state each
+    adjustment went only part of the way: on canal_demo, a nominal rig, twelve in a row went from 5.9 to 2.8 mm.
     """
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():

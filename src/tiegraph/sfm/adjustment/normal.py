@@ -1,9 +1,10 @@
-"""The normal equations of the cameras, points eliminated: sparse, of free gauge, solved for chosen functions of them.
+"""The reduced normal equations of the cameras (points eliminated): sparse, with a free gauge, solved for chosen
+functions.
 
-What is asked of the unknowns (a place, a turn, a point) is a row of numbers, made independent of the gauge by the
-S-transformation over all positions (Baarda 1973): what it says after the best similarity to the truth. For such rows
-any solution of the singular system serves, so the factor takes the simplest: three frames hold the gauge. Frames that
-share points lie near the diagonal, and the factor of a long pass grows with its length, not with the square of it.
+A function of the unknowns (a position, a rotation, a point) is a row of numbers. The S-transformation over all
+positions (Baarda 1973) makes it independent of the gauge: its value after the best similarity to the truth. For such
+rows any solution of the singular system will do, so the factorisation takes the simplest one: three frames hold the
+gauge. Frames that share points are near the diagonal, so the factor of a long pass grows linearly with its length.
 """
 
 import numpy as np
@@ -21,7 +22,7 @@ _ROWS = 90_000  # unknowns of points whose dense products are held at once: memo
 
 
 def point_inverse(jp: sparse.csr_matrix) -> np.ndarray:
-    """(P, 3, 3) pseudo-inverse of each point's own normal matrix; an observation touches one point."""
+    """(P, 3, 3) pseudo-inverse of each point's own normal matrix; each observation involves one point."""
     blocks = (jp.T @ jp).tobsr(blocksize=(3, 3))
     dense = np.zeros((jp.shape[1] // 3, 3, 3))
     dense[blocks.indices] = blocks.data
@@ -29,7 +30,7 @@ def point_inverse(jp: sparse.csr_matrix) -> np.ndarray:
 
 
 def by_blocks(blocks: np.ndarray) -> sparse.bsr_matrix:
-    """(3P, 3P) with these blocks (P, 3, 3) along the diagonal."""
+    """(3P, 3P) block-diagonal matrix of these blocks (P, 3, 3)."""
     index, size = np.arange(len(blocks) + 1), 3 * len(blocks)
     return sparse.bsr_matrix((blocks, index[:-1], index), shape=(size, size))
 
@@ -37,11 +38,11 @@ def by_blocks(blocks: np.ndarray) -> sparse.bsr_matrix:
 def at_their_minimum(
     points: sparse.csr_matrix, root: np.ndarray, weighted: np.ndarray, inverse: sparse.spmatrix
 ) -> np.ndarray:
-    """(2O,) weighted residuals once each point has gone to its own minimum, by its columns (2O, 3P) and the roots
-    (2O,) of the weights of the curvature; ``inverse`` (3P, 3P) of the points' own normal matrices so weighted.
+    """(2O,) weighted residuals after each point was moved to its own minimum. (2O, 3P): columns of the points; (2O,)
+    roots of the weights of the curvature; ``inverse`` (3P, 3P) of the points' own weighted normal matrices.
 
-    An adjustment stops where a point that few rays hold may still slide along them: its residuals then tell of its own
-    place, and would be taken for what they say of the cameras (a rendered boat: sigmas 19 times too large).
+    An adjustment may stop while a point that few rays determine can still slide along them. Its residuals then depend
+    on its own place and would be attributed to the cameras (a rendered boat: sigmas 19 times too large).
     """
     jp = (sparse.diags(root) @ points).tocsr()
     step = inverse @ (points.T @ weighted)
@@ -51,10 +52,12 @@ def at_their_minimum(
 def reduced(
     jc: sparse.csr_matrix, crossed: sparse.csr_matrix, inverse: sparse.bsr_matrix, own: int
 ) -> sparse.csr_matrix:
-    """Reduced camera system (C, C): Jc'Jc - Jc'Jp (Jp'Jp)^-1 Jp'Jc, by ``jc`` (2O, C), Jp'Jc (3P, C) and (Jp'Jp)^-1.
+    """Reduced camera system (C, C): Jc'Jc - Jc'Jp (Jp'Jp)^-1 Jp'Jc, from ``jc`` (2O, C), Jp'Jc (3P, C) and
+    (Jp'Jp)^-1.
 
-    The first ``own`` unknowns are those of frames, each known to few points. What follows, lenses and mountings, is
-    known to most: products with it are dense, or they take ten times as long as all others.
+    The first ``own`` unknowns are those of frames, each involved in few points. The following ones, of lenses and
+    mountings, are involved in most points: their products are computed dense, otherwise they take ten times as long
+    as all others.
     """
     frames, shared = crossed[:, :own].tocsr(), crossed[:, own:].tocsr()
     blocks = frames.tobsr(blocksize=(3, 6))
@@ -72,13 +75,13 @@ def reduced(
 
 
 class Normal:
-    """A normal matrix (C, C), factorised, with the motions of the whole that it does not know.
+    """A factorised normal matrix (C, C) and the motions of the whole model that it leaves undetermined.
 
-    ``scale_known``: whether it holds the length of the whole (a rig of fixed size does).
+    ``scale_known``: whether it determines the length of the whole (as a rig of fixed size does).
     """
 
     def __init__(self, matrix: sparse.spmatrix, layout: Layout) -> None:
-        """``matrix``: sums of squares of pixels by the unknowns of ``layout``; ValueError where it is not finite."""
+        """``matrix``: sums of squared pixels by the unknowns of ``layout``. Raises ValueError if it is not finite."""
         if not np.isfinite(matrix.tocsr().data).all():
             raise ValueError("the normal equations are not finite")
         self._motions, self._extent = gauge(layout), extent(layout)
@@ -102,16 +105,16 @@ class Normal:
         )  # positive definite: no pivoting
 
     def asked(self, functions: np.ndarray | sparse.spmatrix) -> np.ndarray:
-        """(C, K) functions of the unknowns, without what a similarity of the whole does to them."""
+        """(C, K) functions of the unknowns after the effect of a similarity of the whole was removed."""
         dense = np.asarray(functions, float) if isinstance(functions, np.ndarray) else functions.toarray()
         return np.asarray(dense - self._back @ (self._motions.T @ dense))
 
     def scale(self) -> np.ndarray:
-        """(C, 1) the function that reads the relative change of all lengths from the positions."""
+        """(C, 1) function that gives the relative change of all lengths from the positions."""
         return np.asarray(self._back[:, 6:] / self._extent)
 
     def solve(self, sides: np.ndarray) -> np.ndarray:
-        """(C, K) solutions of right sides that are functions of ``asked``, or gradients."""
+        """(C, K) solutions for right-hand sides that are functions from ``asked``, or gradients."""
         out = np.empty(sides.shape)
         for k in range(0, sides.shape[1], _AT_ONCE):
             part = self._factor.solve(np.ascontiguousarray(sides[:, k : k + _AT_ONCE] / self._stiff[:, None]))
@@ -120,7 +123,8 @@ class Normal:
 
 
 def gauge(layout: Layout) -> np.ndarray:
-    """(C, 7) motions of everything: shift, turn, scale about the middle; turn and scale by the size of the whole."""
+    """(C, 7) motions of the whole: shift, rotation, scale about the middle; rotation and scale times the size of the
+    whole."""
     frames = len(layout.centres)
     local = layout.centres - layout.centres.mean(axis=0)
     size = extent(layout)
@@ -141,7 +145,7 @@ def extent(layout: Layout) -> float:
 
 
 def _anchors(layout: Layout, diagonal: np.ndarray) -> np.ndarray:
-    """(18,) unknowns of three frames far from each other that points hold."""
+    """(18,) unknowns of three well-determined frames that are far from each other."""
     stiff = diagonal[: 6 * len(layout.centres)].reshape(-1, 6).min(axis=1)
     good = np.flatnonzero(stiff >= 0.1 * np.median(stiff))
     centres = layout.centres[good]

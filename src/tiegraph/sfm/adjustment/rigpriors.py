@@ -1,4 +1,4 @@
-"""What a rig file gives with a sigma, as residuals of the final adjustment (paper 001: fixed baselines and axes)."""
+"""Values of a rig file with a sigma, as residuals of the final adjustment (paper 001: fixed baselines and axes)."""
 
 from collections.abc import Collection
 
@@ -17,9 +17,9 @@ from tiegraph.sfm.tuning.rig import RigPriorTuning, RigTuning
 def rig_priors(
     model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int], tuning: RigPriorTuning
 ) -> PoseConstraints:
-    """Priors of the rigs (scene indices) of a metric model, drawings of nominal ones of any.
+    """Priors of the rigs (scene indices) of a metric model, and of nominal rigs of any model.
 
-    Sensors without sigma in a rig with some stay as given.
+    Sensors without a sigma in a rig where others have one stay as given.
     """
     sensors: list[SensorPrior] = []
     pairs: list[PairPrior] = []
@@ -31,11 +31,11 @@ def rig_priors(
 
 
 def of_one_shot(model: pycolmap.Reconstruction, scene: Scene, tuning: RigTuning) -> tuple[RelativePosePrior, ...]:
-    """What holds the images of one frame of the scene together that stand in several frames of a metric model.
+    """Constraints between the images of one frame of the scene that are separate frames of a metric model.
 
-    Cameras of their own times stand where the way had led when they fired. What bends a path over its length changes
-    nothing there. Without this an adjustment with positions took PandaSet, whose back camera shares few points with
-    the others, from 22 to 59 mm.
+    Cameras that fire at different times are at the place the motion had reached when they fired. Bending the path
+    over its length changes nothing there. Without this constraint an adjustment with positions took PandaSet, whose
+    back camera shares few points with the others, from 22 to 59 mm.
     """
     turn, shift = np.radians(tuning.held_deg), tuning.held_m
     covariance = np.diag([turn**2] * 3 + [shift**2] * 3)
@@ -59,7 +59,8 @@ def of_one_shot(model: pycolmap.Reconstruction, scene: Scene, tuning: RigTuning)
 
 
 def nominal_geometry(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, NominalGeometry]:
-    """Centres that nominal rigs give, by rig id and camera id, in the frame of the model's reference, metres."""
+    """Centres of the cameras of nominal rigs, by rig id and camera id, in the frame of the model's
+    reference, metres."""
     out: dict[int, NominalGeometry] = {}
     for index, (first, rig) in enumerate(scene.keyed_rigs):
         if rig.nominal and index + 1 in model.rigs:

@@ -1,4 +1,4 @@
-"""The rig as given against the images: what they want otherwise, and a model that gives way where it should."""
+"""The rig as given tested against the images, and the model adjusted where the images contradict the rig."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -21,9 +21,10 @@ from tiegraph.sfm.tuning.rig import RigTuning
 def prior_test(
     model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: Tuning
 ) -> PriorTest | None:
-    """What the images of a model want otherwise of rig ``index``; None where too little tells.
+    """The values of rig ``index`` that the images of a model contradict; None if there are too few observations.
 
-    Of a rig whose geometry was measured: times, mountings, lenses. Of another, whose geometry the model found: times.
+    For a rig with measured geometry: times, mountings, lenses. For a rig whose geometry was derived from the model:
+    times.
     """
     rig = scene.rigs[index]
     if len(rig.sensors) < 2 or not rig.known():
@@ -32,7 +33,7 @@ def prior_test(
     lenses = _calibrated(model, scene, index) if measured else ()
     if measured:
         system = rig_system(model, scene, index, lenses, metres_per_unit, tuning)
-    else:  # lengths of the model's rig are brought to metres, so that those of the system are
+    else:  # the extrinsics of the model's rig are converted to metres, which gives a system in metres
         found = model_rigs(model, scene)[index].scaled(metres_per_unit).sensors
         sensors = tuple(replace(s, sensor_from_rig=f.sensor_from_rig) for s, f in zip(rig.sensors, found))
         rigs = tuple(replace(r, sensors=sensors) if k == index else r for k, r in enumerate(scene.rigs))
@@ -48,13 +49,13 @@ def prior_test(
     else:
         place, turn = ([s] * len(rig.sensors) for s in (tuning.rig.confront.loosely_m, tuning.rig.confront.loosely_deg))
         known = replace(known, place_m=place, turn_deg=turn)
-    if not known.late_s:  # said to be synchronised: the images may say otherwise
+    if not known.late_s:  # given as synchronised: the images may still contradict that
         known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed, tuning.rig).late_s)
     return contradicted_priors(system, known, groups)
 
 
 def lens_prior_test(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: Tuning) -> PriorTest | None:
-    """The same of the calibration of a single camera, which is all that there is to contradict."""
+    """The same test for the calibration of a single camera, the only given value that images can contradict there."""
     rig = scene.rigs[index]
     lenses = _calibrated(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
     if not lenses:
@@ -69,16 +70,17 @@ def lens_prior_test(model: pycolmap.Reconstruction, scene: Scene, index: int, tu
 
 
 def open_times(test: PriorTest, scene: Scene, index: int) -> list[str]:
-    """A sentence on cameras of a rig whose times the images leave open, which are then taken to fire together."""
+    """A sentence on the cameras of a rig whose firing times the images do not determine; they are taken as
+    synchronised."""
     rig, system, late = scene.rigs[index], test.system, test.open_s(scene.rigs[index])
     if not late:
         return []
     names, worst = [rig.sensors[k].name for k in late], max(late.values())
     said = f"{1000 * worst:.0f} ms" if system.timed else f"{worst:.0%} of the frame interval"
     return [
-        f"rig {rig.name}: whether {', '.join(names)} fire{'s' if len(names) == 1 else ''} at the same time as "
-        f"{rig.sensors[0].name} cannot be told by the images (to {said}, {worst * system.speed:.2g} m along the way): "
-        "they are taken to; synchronised = true in the rig file says so"
+        f"rig {rig.name}: the images do not show whether {', '.join(names)} fire{'s' if len(names) == 1 else ''} at "
+        f"the same time as {rig.sensors[0].name} (sigma {said}, {worst * system.speed:.2g} m along the path): the "
+        "cameras are assumed to be synchronised; synchronised = true in the rig file confirms it"
     ]
 
 
@@ -88,7 +90,7 @@ def _measured(scene: Scene, index: int) -> bool:
 
 
 def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
-    """Ids of the rig's cameras whose calibration is the one that was given."""
+    """Ids of the rig's cameras with an unchanged given calibration."""
     first = scene.first_sensor(index)
     out = set()
     for k, sensor in enumerate(scene.rigs[index].sensors):
@@ -109,12 +111,12 @@ def mounting_errors(
     tuning: RigTuning,
     followed: bool = False,
 ) -> np.ndarray:
-    """(6S, 6S) mean products of how far S ``cameras`` (keys) beside the reference are off what a measured rig gives:
-    place (m) and turn (rad) of each against the reference, along the axes of the rig.
+    """(6S, 6S) mean products of the deviations of S ``cameras`` (keys) beside the reference from a measured rig:
+    place (m) and rotation (rad) of each relative to the reference, along the axes of the rig.
 
-    By the images, where a calibration is known as well as it is held to and what contradicts them is free; without
-    images, as well as it is held to. ``followed``: the model stands where the images want it, and what they do not
-    contradict is as well known as it was given.
+    Estimated from the images, where calibrations have the sigmas they are held to and contradicted values are free;
+    without images, from these sigmas. ``followed``: the model follows the images, and values that they do not
+    contradict have their given sigmas.
     """
     rig, bounds = scene.rigs[index], tuning.confront
     given = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
@@ -134,7 +136,7 @@ def mounting_errors(
     reference = _unknowns(system, 0)
     for own, k in zip(rows, sensors.tolist()):
         own[:, _unknowns(system, k)], own[:, reference] = np.eye(6), -np.eye(6)
-        own[:3, reference[3:]] += skew(transforms.centre(given[k]))  # turned, it swings the others
+        own[:3, reference[3:]] += skew(transforms.centre(given[k]))  # its rotation moves the others
     flat, moment = rows.reshape(-1, len(system.keys)), solution.covariance
     if not followed:
         moment = moment + np.outer(solution.value, solution.value)
@@ -142,13 +144,13 @@ def mounting_errors(
 
 
 def in_units(moment: np.ndarray, metres_per_unit: float) -> np.ndarray:
-    """``mounting_errors`` with places in units of the model."""
+    """``mounting_errors`` with places in model units."""
     scale = np.tile(np.repeat([1 / metres_per_unit, 1.0], 3), len(moment) // 6)
     return np.asarray(moment * np.outer(scale, scale))
 
 
 def _unknowns(system: RigSystem, sensor: int) -> np.ndarray:
-    """(6,) indices of a camera's place and turn."""
+    """(6,) indices of a camera's place and rotation."""
     at = [k for what in ("place", "turn") for k in system.where(what) if system.keys[k][1] == sensor]
     return np.array(at, int)
 
@@ -162,9 +164,9 @@ def refine(
     constant_cameras: Collection[int],
     tuning: AdjustTuning,
 ) -> pycolmap.Reconstruction:
-    """The model adjusted with the freed mountings of a rigid rig about what is given, the others held.
+    """The model adjusted with the freed mountings of a rigid rig, starting from the given ones; the others are held.
 
-    ``fixed``: COLMAP ids of the other rigs that stay.
+    ``fixed``: COLMAP ids of the other fixed rigs.
     """
     known = expected(scene.rigs[index], test.system.timed, test.known.tuning)
     priors = _priors(scene, index, known, test)
@@ -173,7 +175,7 @@ def refine(
 
 
 def _priors(scene: Scene, index: int, known: Expected, test: PriorTest) -> list[SensorPrior]:
-    """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
+    """The file's extrinsics as priors; if the reference itself is wrong, all the others are free relative to it."""
     rig, units = scene.rigs[index], 1 / test.system.metres_per_unit
     first = scene.first_sensor(index)
     every = ("mount", 0) in test.freed

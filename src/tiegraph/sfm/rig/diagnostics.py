@@ -1,9 +1,10 @@
-"""Rig diagnostics: which cameras keep their place in the rig, which fire at another time, which sit loose.
+"""Rig diagnostics: which cameras are rigid in the rig, which fire at another time, and which are loose.
 
-And whether the matches between two cameras agree with the model, beside those of each camera with itself. A mapper that
-holds a rig splits the points that contradict it, or leaves them out: what is left of two cameras that fire apart fits
-to a tenth of a pixel, and only their verified matches still tell (rendered vehicle, 0.5 m apart along the way: 46 and
-65 % of the matches between them agree with the model in two runs, 99 % of each camera's own).
+The matches between two cameras are compared with the model, and with the matches within each camera. A mapper that
+holds a rig splits the points that contradict it, or leaves them out: the rest of two cameras that fire at different
+times fits to a tenth of a pixel, and only their verified matches still show it (rendered vehicle, 0.5 m apart along
+the path: 46 and 65 % of the matches between them agree with the model in two runs, 99 % of the matches within each
+camera).
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -29,16 +30,17 @@ OFFSET = "time offset ms"
 
 @dataclass(frozen=True)
 class RigDiagnostics:
-    """How far each camera (sensor keys) of a rig strays from its place there, and which sit ``loose``: why."""
+    """Movement of each camera (sensor keys) of a rig from shot to shot; ``loose``: the cameras that are not rigid,
+    and why."""
 
     strays: Mapping[int, Stray]
     loose: Mapping[int, str]
 
     def notes(self, scene: Scene) -> list[str]:
-        """A sentence on each that sits loose."""
-        said = "does not keep its place in the rig"
+        """A sentence on each loose camera."""
+        said = "is not rigid in the rig"
         return [
-            f"camera {scene.all_sensors[key].name} {said}: {why} (not rigid, or the model is torn there)"
+            f"camera {scene.all_sensors[key].name} {said}: {why} (it is not fixed, or the model is torn there)"
             for key, why in self.loose.items()
         ]
 
@@ -46,7 +48,7 @@ class RigDiagnostics:
         """Table of the receipt; ``late_ms`` by sensor key."""
         rows: list[list[Any]] = []
         for key, stray in sorted(self.strays.items()):
-            said = "does not keep its place" if key in self.loose else ""
+            said = "not rigid" if key in self.loose else ""
             place, turn = round(metres_per_unit * stray.place, 4), round(float(np.degrees(stray.turn)), 3)
             rows.append([scene.all_sensors[key].name, place, turn, round(stray.px, 2), late_ms.get(key), said])
         return {"columns": ["camera", "strays m", "strays deg", "strays px", OFFSET, "verdict"], "rows": rows}
@@ -55,18 +57,18 @@ class RigDiagnostics:
 def rig_diagnostics(
     model: pycolmap.Reconstruction, scene: Scene, torn: Collection[int], metres_per_unit: float, tuning: Tuning
 ) -> RigDiagnostics:
-    """How far the cameras of rigs stray from shot to shot in a model whose cameras have their times; ``torn``: sensor
+    """Movement of the cameras of rigs from shot to shot, in a model whose cameras have their times; ``torn``: sensor
     keys (``torn_off``). Raises ValueError for a model without redundancy."""
     seen = Linearised(model, Layout(model, False, False), {}, tuning, tuning.rig.system.most_points)
     strays = strays_of(model, seen.weighed, np.flatnonzero(_mounted(scene)) + 1)
     found = {k - 1: stray for k, stray in strays.items()}
-    loose = dict.fromkeys(torn, "most of its sightings contradict the rig")
-    worst = max(found, key=lambda k: found[k].gain, default=-1)  # the others stray with it: they share points
+    loose = dict.fromkeys(torn, "most of its observations contradict the rig")
+    worst = max(found, key=lambda k: found[k].gain, default=-1)  # the others move with it: they share points
     least = tuning.rig.diagnostics.min_scatter_px
     if worst >= 0 and found[worst].gain > LIMIT**2 / 2 and found[worst].px > least:
         stray = found[worst]
         size = f"{metres_per_unit * stray.place:.3f} m and {np.degrees(stray.turn):.2f} deg ({stray.px:.1f} px)"
-        loose.setdefault(worst, f"it strays from shot to shot by {size}")
+        loose.setdefault(worst, f"it moves from shot to shot by {size}")
     return RigDiagnostics(found, loose)
 
 
@@ -77,8 +79,8 @@ def torn_off(
     tests: Mapping[int, PriorTest],
     tuning: DiagnosticsTuning,
 ) -> list[int]:
-    """Keys of sensors of rigs that lost more than half of their sightings in the adjustment, and far more than the
-    others, unless what the images want otherwise of the rig says why."""
+    """Keys of sensors of rigs that lost more than half of their observations in the adjustment, and far more than the
+    others, unless a contradiction between images and rig explains it."""
     counts = np.zeros((2, len(scene.all_sensors)))
     for row, model in zip(counts, (before, after)):
         np.add.at(row, scene.sensor_key, observations(model, scene))
@@ -96,7 +98,7 @@ def _mounted(scene: Scene) -> np.ndarray:
 
 
 def _explained(tests: Mapping[int, PriorTest], scene: Scene, key: int) -> bool:
-    """Whether times, or a mounting or lens other than given, say why a camera's sightings contradict the rig."""
+    """Whether times, or a mounting or lens other than given, explain why a camera's observations contradict the rig."""
     index = int(scene.rig[scene.frame[np.flatnonzero(scene.sensor_key == key)[0]]])
     freed = tests[index].freed if index in tests else ()
     return any(what == "times" or sensor == key - scene.first_sensor(index) for what, sensor in freed)
@@ -104,8 +106,9 @@ def _explained(tests: Mapping[int, PriorTest], scene: Scene, key: int) -> bool:
 
 @dataclass(frozen=True)
 class CameraMatches:
-    """Two cameras (keys, from 0) of one rig, image pairs with an opinion, the shares of matches that agree: between the
-    two, and the smaller of each with itself; whether the matches between them want another rig, or other times."""
+    """Two cameras (keys, from 0) of one rig, the number of image pairs with a verdict, the shares of matches that
+    agree (between the two, and the smaller one within each), and whether the matches between them ask for another rig
+    or other times."""
 
     first: int
     second: int
@@ -118,7 +121,7 @@ class CameraMatches:
 def camera_matches(
     verified: VerifiedMatches, seen: ImageObservations, scene: Scene, tuning: CameraMatchesTuning
 ) -> list[CameraMatches]:
-    """All two cameras of one rig that enough pairs of images tie, against the poses of a model."""
+    """All pairs of cameras of one rig with enough pairs of images, compared with the poses of a model."""
     explained = rays_meet(verified, seen)
     told = explained[:, 1] > 0
     rows, explained = verified.pairs[told], explained[told]
@@ -154,7 +157,8 @@ def matches_table(found: Sequence[CameraMatches], scene: Scene) -> dict:
 
 
 def matches_sentence(found: Sequence[CameraMatches], scene: Scene) -> list[str]:
-    """One sentence on all that contradict, the worst named; none where nothing does. Views of one panorama cannot."""
+    """One sentence on all contradicting pairs, with the worst named; none if nothing contradicts. Not for views of a
+    panorama."""
     stitched = [rig.stitched() for rig in scene.rigs for _ in rig.sensors]
     bad = sorted((t for t in found if t.contradicted and not stitched[t.first]), key=lambda t: t.between)
     if not bad:
@@ -163,7 +167,7 @@ def matches_sentence(found: Sequence[CameraMatches], scene: Scene) -> list[str]:
     worst, rest = bad[0], len(bad) - 1
     others = f" (and {rest} more)" if rest else ""
     return [
-        f"ties between {names[worst.first]} and {names[worst.second]}{others}: {worst.between:.0%} of them agree with "
-        f"the model, of each camera's own {worst.own:.0%}; cameras of the rig fire apart, or stand otherwise than the "
-        "model has them"
+        f"ties between {names[worst.first]} and {names[worst.second]}{others}: {worst.between:.0%} of the matches "
+        f"agree with the model, but {worst.own:.0%} of those within each camera; cameras of the rig fire at different "
+        "times, or are mounted differently from the model"
     ]

@@ -1,10 +1,10 @@
-"""What the images of a model say of its rig: times, places, turns and lenses at once, linearised at the model.
+"""The rig's unknowns determined from the images of a model: times, places, rotations and lenses together, linearised.
 
-A camera that fires late stands ahead by its lateness times the speed; a camera mounted otherwise stands off by a
-constant; a lens of another focal length moves points as a camera ahead does. At constant speed some of these are one
-unknown. So none is estimated alone: the normal equations of the bundle adjustment hold all of them, frames and points
-are eliminated (the size of a rig with them, for it is that of the path), and what is known beforehand enters as priors
-(Triggs et al. 2000, section 6). A hypothesis is a choice of priors, and its cost a solution of the small system left.
+A camera that fires late is ahead by its delay times the speed; a camera mounted differently is off by a constant; a
+lens of another focal length moves points as a camera ahead does. At constant speed some of these cannot be separated.
+So none is estimated alone: the normal equations of the bundle adjustment hold all of them; frames and points are
+eliminated, and with them the size of the rig, which is that of the path. Prior knowledge enters as priors (Triggs et
+al. 2000, section 6). A hypothesis is a choice of priors, and its cost is a solution of the remaining small system.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.systematic.mountings import of_mounting, of_time
 from tiegraph.sfm.tuning import Tuning
 
-_ANY = 1e-9  # of the stiffness: what nothing tells gets a huge sigma instead of a singular matrix
+_ANY = 1e-9  # of the stiffness: an undetermined unknown gets a huge sigma instead of a singular matrix
 
 Key = tuple[str, int, int]  # what ("place", "turn", "time", "lens"), sensor of the rig, axis or parameter
 
 
 @dataclass(frozen=True)
 class RigSystem:
-    """Normal equations (K, K) of a rig's unknowns, frames and points eliminated; the model's own state is zero.
+    """Normal equations (K, K) of a rig's unknowns with frames and points eliminated; the present state of the model
+    is zero.
 
-    ``keys`` say what each unknown is: place (m) and turn (rad) of a sensor in the rig frame against the file, its
-    time (s; frame intervals without times) after the reference, lens: parameters of its camera against the model. A
-    solution is that of one robust Gauss-Newton step.
+    ``keys`` name each unknown: place (m) and rotation (rad) of a sensor in the rig frame relative to the file, its
+    time (s; frame intervals without times) after the reference, lens: parameters of its camera relative to the model.
+    A solution is one robust Gauss-Newton step.
     """
 
     keys: tuple[Key, ...]
@@ -46,9 +47,9 @@ class RigSystem:
     scatter: np.ndarray  # (K, K) sum of the points' gradients squared: the sandwich's inner part
     variance: float  # of an image coordinate, px2
     observations: int
-    metres_per_unit: float  # by which lengths of the model were brought to those of the file
+    metres_per_unit: float  # conversion of model lengths to those of the file
     speed: float  # largest, m/s (or a frame interval)
-    damped: float  # of a step that may be gone at once: far from its minimum the robust cost is less curved than there
+    damped: float  # factor for a step far from the minimum, where the robust cost is less curved
     timed: bool
 
     def where(self, what: str) -> np.ndarray:
@@ -56,7 +57,7 @@ class RigSystem:
         return np.array([k for k, key in enumerate(self.keys) if key[0] == what], int)
 
     def only(self, what: str) -> RigSystem:
-        """The same with the unknowns of one kind alone, the others known exactly."""
+        """The same with the unknowns of one kind only, the others held."""
         at = self.where(what)
         return replace(
             self, keys=tuple(self.keys[k] for k in at), curvature=self.curvature[np.ix_(at, at)],
@@ -64,7 +65,7 @@ class RigSystem:
         )  # fmt: skip
 
     def solve(self, sigma: np.ndarray) -> RigSolution:
-        """The unknowns where each is zero but for ``sigma`` (K,) beforehand: 0 = known exactly, inf = not at all."""
+        """The unknowns with prior value zero and prior ``sigma`` (K,): 0 = held, inf = free."""
         free = np.flatnonzero(sigma > 0)
         prior = self.variance * np.diag(1 / np.square(sigma[free]))
         normal = self.curvature[np.ix_(free, free)] + prior
@@ -83,8 +84,9 @@ class RigSystem:
 
 @dataclass(frozen=True)
 class RigSolution:
-    """Values (K,), covariance (K, K) with the points' real scatter, and as if their errors were independent; ``gain``:
-    twice the fall of the cost against all unknowns zero, over the variance of an observation (a chi-square)."""
+    """Values (K,), covariance (K, K) with the points' actual scatter, and covariance for independent errors;
+    ``gain``: twice the reduction of the cost relative to all unknowns zero, over the variance of an observation (a
+    chi-square)."""
 
     value: np.ndarray
     covariance: np.ndarray
@@ -104,8 +106,8 @@ def rig_system(
     metres_per_unit: float,
     tuning: Tuning,
 ) -> RigSystem | None:
-    """The system of rig ``index`` of a model, its unknowns counted from the scene's extrinsics; None where too little
-    is there. ``lenses``: ids of cameras whose parameters are unknowns too.
+    """The system of rig ``index`` of a model, with unknowns relative to the scene's extrinsics; None if there are too
+    few observations. ``lenses``: ids of cameras whose parameters are unknowns too.
     """
     sensors, first = scene.rigs[index].sensors, scene.first_sensor(index) + 1
     if any(s.sensor_from_rig is None for s in sensors):
@@ -149,7 +151,7 @@ def rig_system(
 
 
 def _off(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float) -> dict[Key, float]:
-    """How the cameras of the model's rig stand off the scene's, metres and radians along the axes of the rig."""
+    """Deviations of the cameras of the model's rig from the scene's, metres and radians along the axes of the rig."""
     out: dict[Key, float] = {}
     for k, (own, given) in enumerate(zip(model_rigs(model, scene)[index].sensors, scene.rigs[index].sensors)):
         if k and own.sensor_from_rig is not None and given.sensor_from_rig is not None:
@@ -163,7 +165,8 @@ def _off(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
 
 
 def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int, most: int) -> pycolmap.Reconstruction:
-    """The model with the images of this rig only, of at most so many frames that follow each other: those seen best."""
+    """The model with the images of this rig only, and at most ``most`` consecutive frames: those with most
+    observations."""
     out = pycolmap.Reconstruction(model)
     seen, home = np.zeros(scene.frames), {}
     for k, image in registered_images(out, scene):

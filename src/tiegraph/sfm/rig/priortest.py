@@ -1,9 +1,9 @@
-"""Which of a rig's givens the images contradict: times, mountings, lenses, by comparison of models.
+"""Which given values of a rig the images contradict (times, mountings, lenses), by comparison of models.
 
-A late camera, a turned camera and a wrong focal length all make images disagree with a rig, and each takes up part of
-what another did. So the hypotheses compete: of all groups of unknowns the one that explains most for its number of
-parameters is freed (Bayesian information criterion: Schwarz 1978), then the next beside it, until none explains more
-than chance. Gains are divided by how much wider the points scatter than independent errors would.
+A late camera, a rotated camera and a wrong focal length all make images disagree with a rig, and each can absorb part
+of the effect of another. So the hypotheses compete: of all groups of unknowns the one that explains most for its
+number of parameters is freed (Bayesian information criterion: Schwarz 1978), then the next in addition, until none
+explains more than chance. Gains are divided by the ratio of the points' scatter to that of independent errors.
 """
 
 from collections.abc import Collection, Sequence
@@ -22,8 +22,8 @@ Group = tuple[str, int]  # "times" (-1), "mount" or "lens" of a sensor
 
 @dataclass(frozen=True)
 class Expected:
-    """What is known of a rig's unknowns beforehand: sigmas of each sensor's place (m) and turn (deg), of times (s); and
-    of what is freed, by ``tuning``."""
+    """Prior sigmas of a rig's unknowns: of each sensor's place (m) and rotation (deg), of times (s); those of freed
+    values are in ``tuning``."""
 
     place_m: Sequence[float]
     turn_deg: Sequence[float]
@@ -32,7 +32,7 @@ class Expected:
     tuning: RigTuning
 
     def sigma(self, system: RigSystem, freed: Collection[Group] = (), times: bool = False) -> np.ndarray:
-        """(K,) of the system's unknowns; 0 = known exactly. ``times``: free, as if the group were among the freed."""
+        """(K,) of the system's unknowns; 0 = held. ``times``: times are free as if their group were among the freed."""
         out, free = np.zeros(len(system.keys)), self.tuning.prior_test
         for k, (what, sensor, axis) in enumerate(system.keys):
             mount = ("mount", sensor) in freed
@@ -48,7 +48,7 @@ class Expected:
 
 
 def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
-    """What a rig file lets expect; ``timed``: frames have times, else times are counted in frame intervals."""
+    """Prior sigmas from a rig file; ``timed``: frames have times, otherwise times are counted in frame intervals."""
     place = [max(s.sigma_m or 0.0, tuning.prior_test.given_m) for s in rig.sensors]
     turn = [max(s.sigma_deg or 0.0, tuning.prior_test.given_deg) for s in rig.sensors]
     focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
@@ -56,13 +56,13 @@ def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
 
 
 def _late(rig: Rig, timed: bool, tuning: RigTuning) -> float:
-    """Sigma of when its cameras fire after the reference."""
+    """Sigma of the delay of its cameras relative to the reference."""
     one = rig.synchronised or all(s.source is not None and s.source.rendered for s in rig.sensors)
     return 0.0 if one else tuning.late_s if timed else tuning.prior_test.unknown_share
 
 
 def times_open(scene: Scene, timed: bool, tuning: RigTuning) -> dict[int, float]:
-    """Camera id -> sigma of when it fires after its reference, of those that nobody says to fire together."""
+    """Camera id -> sigma of its delay relative to the reference, for cameras not given as synchronised."""
     out = {}
     for index, rig in enumerate(scene.rigs):
         late, first = _late(rig, timed, tuning), scene.first_sensor(index) + 1
@@ -72,24 +72,24 @@ def times_open(scene: Scene, timed: bool, tuning: RigTuning) -> dict[int, float]
 
 @dataclass(frozen=True)
 class PriorTest:
-    """What the images want freed, worst first, with the solution that has it free."""
+    """The groups that the images contradict, worst first, each with the solution in which it is free."""
 
     freed: tuple[Group, ...]
     solution: RigSolution
     system: RigSystem
     known: Expected
-    beyond: tuple[int, ...] = ()  # sensors that would move farther than one step of an adjustment can tell: none freed
+    beyond: tuple[int, ...] = ()  # sensors that would move too far for one step of an adjustment: nothing is freed
 
     def until(self, group: Group) -> RigSolution:
-        """The solution with this group and what was freed before it: what came later takes up a part of the same."""
+        """The solution with this group and those freed before it: groups freed later absorb part of the same effect."""
         return self.system.solve(self.known.sigma(self.system, self.freed[: self.freed.index(group) + 1]))
 
     def times_s(self) -> dict[int, tuple[float, float]]:
-        """Sensor of the rig -> when it fires after the reference and sigma, if times were freed."""
+        """Sensor of the rig -> its delay relative to the reference and sigma, if times were freed."""
         return self._times(self.solution) if ("times", -1) in self.freed else {}
 
     def times_alone_s(self) -> dict[int, tuple[float, float]]:
-        """The same, all else as it was given."""
+        """The same with everything else as given."""
         return self._times(self.system.solve(self.known.sigma(self.system, (), times=True)))
 
     def _times(self, solution: RigSolution) -> dict[int, tuple[float, float]]:
@@ -97,15 +97,16 @@ class PriorTest:
         return {system.keys[k][1]: (float(solution.value[k]), float(sigma[k])) for k in system.where("time")}
 
     def open_s(self, rig: Rig) -> dict[int, float]:
-        """Sensor of the rig -> sigma of when it fires, s, of those whose time is open by more than is asked of a place:
-        at constant speed a time and a place along the way are one. All that is given beside the times is believed."""
+        """Sensor of the rig -> sigma of its delay, s, where that moves it by more than the tolerance of a place: at
+        constant speed a delay and a shift along the path are the same. All given values except the times are trusted.
+        """
         tuning, system = self.known.tuning, self.system
         known, least = expected(rig, system.timed, tuning), LIMIT * tuning.confront.held_to_m
         times = self._times(system.solve(known.sigma(system, (), times=True))) if known.late_s else {}
         return {k: sigma for k, (_, sigma) in times.items() if sigma * system.speed > least}
 
     def late(self) -> bool:
-        """Whether a camera surely fires apart from its reference, by as much as can be seen."""
+        """Whether a camera certainly fires at another time than its reference, by a visible amount."""
         tuning, speed = self.known.tuning, self.system.speed
         least = LIMIT * tuning.confront.held_to_m
         times = self.times_s().values()
@@ -113,7 +114,7 @@ class PriorTest:
 
 
 def contradicted_priors(system: RigSystem, known: Expected, candidates: Collection[Group]) -> PriorTest:
-    """Free groups among ``candidates`` as long as the images want it."""
+    """Free groups among ``candidates`` as long as the images demand it."""
     bounds = known.tuning.prior_test
     freed: list[Group] = []
     now = system.solve(known.sigma(system, ()))
@@ -131,7 +132,7 @@ def contradicted_priors(system: RigSystem, known: Expected, candidates: Collecti
             return _within_reach(PriorTest(freed=tuple(freed), solution=now, system=system, known=known))
         _, group, now = best
         freed.append(group)
-        for group in freed[:-1]:  # what the newest group explains as well
+        for group in freed[:-1]:  # groups that the newest one explains as well
             less = [g for g in freed if g != group]
             then = system.solve(known.sigma(system, less))
             if _criterion(system, now, then, group) < bounds.strong:
@@ -139,7 +140,7 @@ def contradicted_priors(system: RigSystem, known: Expected, candidates: Collecti
 
 
 def _within_reach(found: PriorTest) -> PriorTest:
-    """The same; nothing freed where a value lies outside of what freeing allows for, and the system is not linear."""
+    """The same; nothing freed if a value exceeds its freed range, because the system is not linear there."""
     sigma = found.known.sigma(found.system, found.freed)
     of = [k for group in found.freed for k in _members(found.system, group)]
     sensors = sorted({found.system.keys[k][1] for k in of if abs(found.solution.value[k]) > LIMIT * sigma[k]})
@@ -149,8 +150,8 @@ def _within_reach(found: PriorTest) -> PriorTest:
 
 
 def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:
-    """By how much a group free explains the images better than chance (BIC)."""
-    # Variance of the unknowns over what independent errors would give (median); 1 at least
+    """By how much a free group explains the images better than chance (BIC)."""
+    # Variance of the unknowns over that of independent errors (median); at least 1
     formal = np.diag(more.formal)
     free = formal > 0
     gain = (more.gain - less.gain) / max(float(np.median(np.diag(more.covariance)[free] / formal[free])), 1.0)

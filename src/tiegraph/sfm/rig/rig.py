@@ -1,4 +1,5 @@
-"""The rig in the mapping: how it is used, its extrinsics from a model made without it, how far a model moved them."""
+"""The rig in the mapping: how it is used, extrinsics derived from a model without it, and how far a
+model moved them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning
 
 
 def held_by_mapper(rig: Rig, mode: str, tuning: RigTuning) -> bool:
-    """Whether a mapper keeps the extrinsics as given; soft ones are let go in the final adjustment only."""
+    """Whether a mapper keeps the extrinsics as given; those with sigmas are released in the final adjustment only."""
     if mode == "soft":
         return all((s.sigma_deg or 0.0) <= tuning.tight_deg for s in rig.sensors[1:])
     return mode == "fixed"
@@ -25,9 +26,10 @@ def held_by_mapper(rig: Rig, mode: str, tuning: RigTuning) -> bool:
 def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
     """How each rig with several sensors is used: "fixed", "soft", "refined" or "derived"; an absent rig has no entry.
 
-    ``choice`` is the setting; "auto": soft if something is given with a sigma, fixed if it was calibrated, refined if
-    the extrinsics are given otherwise (nominal), else derived from a first model. A calibrated rig that is refined runs
-    off where the vehicle hardly turns: PandaSet's positions by 0.44 m (0.06 m fixed), its cameras by 1 m.
+    ``choice`` is the setting; "auto": soft if values are given with a sigma, fixed if it was calibrated, refined if
+    the extrinsics are given in another way (nominal), else derived from a first model. A calibrated rig that is
+    refined diverges where the vehicle hardly turns: PandaSet's positions by 0.44 m (0.06 m fixed), its cameras by 1
+    m.
 
     Raises SettingsError for "fixed" without extrinsics.
     """
@@ -53,7 +55,7 @@ def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
 
 @dataclass(frozen=True)
 class SensorScatter:
-    """One sensor against its rig, over the frames that show both: robust average and how the frames scatter."""
+    """One sensor relative to its rig, over the frames that show both: robust average and scatter over the frames."""
 
     sensor: str
     frames: int
@@ -70,16 +72,16 @@ class SensorScatter:
         if self.frames < tuning.min_frames:
             return f"only {self.frames} frames show it together with the others"
         return (
-            f"its rotation scatters by {self.scatter_deg:.2f} deg with {self.outliers:.0%} outliers over {self.frames} "
-            f"frames: not rigid, not synchronised, or the model without rig is bent there"
+            f"its rotation scatters by {self.scatter_deg:.2f} deg with {self.outliers:.0%} outliers over "
+            f"{self.frames} frames: it is not rigid, not synchronised, or the model without rig is bent there"
         )
 
 
 @dataclass(frozen=True)
 class DerivedRig:
-    """Extrinsics from a model made without the rig; sensors that do not keep still against it stay without."""
+    """Extrinsics from a model made without the rig; sensors that are not rigid relative to it are left out."""
 
-    rig: Rig | None  # None: no two sensors hold together
+    rig: Rig | None  # None: no two sensors are rigid
     scatter: tuple[SensorScatter, ...]
     left_out: tuple[tuple[str, str], ...]  # sensor name, why it is not in the rig
 
@@ -87,9 +89,10 @@ class DerivedRig:
 def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction], tuning: DeriveTuning) -> DerivedRig:
     """Extrinsics of rig ``index`` by robust averages over the frames of models made without it.
 
-    R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline (ALGORITHMS
-    section 4). A sensor never seen together with the reference is joined through one that was. Lengths are in units of
-    the first model. The MAD of each sensor is the test of rigidity and synchronisation; one that fails it is left out.
+    R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline
+    (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was. Lengths
+    are in units of the first model. The MAD of each sensor is the test of rigidity and synchronisation; a sensor that
+    fails it is left out.
     """
     poses = [image_poses(m, scene) for m in models]
     rig = scene.rigs[index]
@@ -119,7 +122,7 @@ def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstructio
 
 
 def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
-    """b_from_a (K, 4, 4) of every two sensors over all frames and models, baselines scaled to the first model's."""
+    """b_from_a (K, 4, 4) of every pair of sensors over all frames and models, baselines scaled to the first model's."""
     of_rig = np.flatnonzero(scene.rig[scene.frame] == index)
     by_frame: dict[int, list[int]] = {}
     for k in of_rig:
@@ -181,7 +184,7 @@ def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, inde
 
 
 def rig_table(scene: Scene, reconstruction: pycolmap.Reconstruction, metres_per_unit: float = 1.0) -> dict:
-    """Table of each sensor's turn and shift against the rig that was given; empty rows without a given rig."""
+    """Table of each sensor's rotation and shift relative to the given rig; empty rows without a given rig."""
     rows = []
     for index, rig in enumerate(scene.rigs):
         extrinsics = model_extrinsics(reconstruction, scene, index)

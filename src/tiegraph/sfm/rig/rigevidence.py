@@ -1,4 +1,4 @@
-"""What is said of a rig as given where the images want it otherwise: statements, and sentences on what contradicts."""
+"""Statements of rig file and images on the rig, and sentences on their contradictions."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -15,13 +15,16 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.rig.priortest import Group, PriorTest
 
 GIVEN, IMAGES = "rig as given", "images"
-_ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their calibration, or a torn model?"
+_ONE_CAUSE = (
+    "is it the file of another rig, do focal lengths or distortions differ from their calibration, or is the model "
+    "torn?"
+)
 
 
 @dataclass(frozen=True)
 class RigEvidence:
-    """Statements on each camera of a rig, the sentences where two of them cannot both be right, and ``misfit``: by how
-    much of its lever arm a camera stands elsewhere than given, where that is contradicted (root mean square of all)."""
+    """Statements on each camera of a rig, sentences on those that contradict each other, and ``misfit``: the
+    contradicted deviations of the cameras relative to their lever arms (root mean square of all)."""
 
     statements: tuple[Statement, ...]
     contradictions: tuple[str, ...]
@@ -30,7 +33,7 @@ class RigEvidence:
 
 @dataclass(frozen=True)
 class _Pair:
-    """One quantity of a sensor as given and by the images, and what is said where both cannot be right."""
+    """One quantity of a sensor as given and from the images, and the sentence for a contradiction of both."""
 
     sensor: int
     given: Statement
@@ -38,7 +41,7 @@ class _Pair:
     culprit: str
 
     def contradiction(self) -> list[str]:
-        """The sentence, if there is one to say."""
+        """The sentence, if they contradict each other."""
         sigmas = abs(self.given.value - self.found.value) / float(np.hypot(self.given.sigma, self.found.sigma))
         return [Contradiction(self.given, self.found, sigmas).text(self.culprit)] if sigmas > LIMIT else []
 
@@ -46,9 +49,10 @@ class _Pair:
 def statements(
     test: PriorTest, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None
 ) -> RigEvidence:
-    """Place, turn, lens of each camera and times: as given, and by the images.
+    """Place, rotation, lens of each camera and times: as given, and from the images.
 
-    ``refined``: a model adjusted with the freed mountings, which says better how far they are off than a first step.
+    ``refined``: a model adjusted with the freed mountings; its deviations are more accurate than those of a first
+    step.
     """
     rig = scene.rigs[index]
     mounted: list[_Pair] = []
@@ -75,28 +79,28 @@ def statements(
 
 
 def _beyond_telling(test: PriorTest, rig: Rig) -> list[str]:
-    """What is off by so much that no figure is given."""
+    """Sentences on deviations so large that no figure is given."""
     if not test.beyond:
         return []
     if len(rig.sensors) == 1:
         return [
-            f"camera {rig.sensors[0].name}: the images contradict its calibration by more than can be told: the focal "
-            "length or distortion of another lens, zoom or image size?"
+            f"camera {rig.sensors[0].name}: the images contradict its calibration by so much that no figure can be "
+            "given: is it the focal length or distortion of another lens, zoom or image size?"
         ]
     names = ", ".join(rig.sensors[k].name for k in test.beyond)
-    return [f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): {_ONE_CAUSE}"]
+    return [f"rig {rig.name}: the images contradict it by so much that no figures can be given ({names}): {_ONE_CAUSE}"]
 
 
 def _one_cause(sensors: Collection[int], rig: Rig) -> list[str]:
-    """Of several cameras that stand elsewhere: a bent model says little of which camera it is."""
+    """A sentence for several deviating cameras: a bent model hardly shows which camera it is."""
     if len(sensors) < 2:
         return []
     many = f"{len(sensors)} of its {len(rig.sensors)} cameras"
-    return [f"rig {rig.name}: {many} stand otherwise than its file says: {_ONE_CAUSE}"]
+    return [f"rig {rig.name}: {many} are mounted differently from its file: {_ONE_CAUSE}"]
 
 
 def _times(test: PriorTest, rig: Rig) -> list[_Pair]:
-    """When the cameras of a rig fire that is said to be synchronised."""
+    """The firing times of the cameras of a rig that is given as synchronised."""
     timed, held_to = test.system.timed, test.known.tuning.confront.held_to_time
     unit, factor = ("ms", 1000.0) if timed else ("% of the frame interval", 100.0)
     out = []
@@ -110,12 +114,12 @@ def _times(test: PriorTest, rig: Rig) -> list[_Pair]:
 
 
 def _misfit(off_m: Mapping[int, float], rig: Rig) -> float:
-    """Root mean square of the shares of their lever arms that the cameras of a rig are off by, metres by sensor."""
+    """Root mean square of the deviations of the cameras of a rig relative to their lever arms, metres by sensor."""
     if not off_m:
         return 0.0
     poses = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
     lever = np.linalg.norm(transforms.centre(poses), axis=1)
-    lever[0] = np.median(lever[1:])  # the reference's own is nothing
+    lever[0] = np.median(lever[1:])  # the reference has no lever arm
     off = np.array([off_m.get(k, 0.0) for k in range(len(lever))])
     return float(np.sqrt(np.sum((off / np.maximum(lever, 1e-3)) ** 2) / (len(lever) - 1)))
 
@@ -123,12 +127,13 @@ def _misfit(off_m: Mapping[int, float], rig: Rig) -> float:
 def _mounting(
     test: PriorTest, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
 ) -> list[_Pair]:
-    """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
+    """Place and rotation along the axis with the largest deviation, as given (0) and from the images, in the frame of
+    the rig."""
     system, camera, held_to = test.system, scene.rigs[index].sensors[sensor], test.known.tuning.confront
     solution = test.until(("mount", sensor))
     sigma = solution.sigma()
     out = []
-    culprit = f"camera {camera.name} is mounted otherwise than the rig file says, or moved"
+    culprit = f"camera {camera.name} is mounted differently from the rig file, or was moved"
     culprit += _or_late(test, ("mount", sensor))
     found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
     for what, given, factor, unit in (
@@ -153,19 +158,23 @@ def _mounting(
 
 
 def _or_late(test: PriorTest, group: Group) -> str:
-    """A word on times, where these would explain half as much as what was freed, or more."""
+    """A remark on times, if these would explain at least half as much as the freed values."""
     system, known = test.system, test.known
     none, own, late = (
         system.solve(known.sigma(system, freed, times)).gain
         for freed, times in (((), False), ((group,), False), ((), True))
     )
-    return "; or cameras fire at other times, which looks much the same here" if late - none > (own - none) / 2 else ""
+    return (
+        ("; or cameras fire at different times, which has nearly the same effect here")
+        if late - none > (own - none) / 2
+        else ""
+    )
 
 
 def _moved(
     model: pycolmap.Reconstruction, scene: Scene, index: int, sensor: int, metres_per_unit: float
 ) -> dict[str, np.ndarray]:
-    """How a camera of the model's rig stands off the file: place (m) and turn (deg) in the rig frame."""
+    """Deviation of a camera of the model's rig from the file: place (m) and rotation (deg) in the rig frame."""
     rig = model_rigs(model, scene)[index]
     own, given = rig.sensors[sensor].sensor_from_rig, scene.rigs[index].sensors[sensor].sensor_from_rig
     assert own is not None and given is not None
@@ -176,7 +185,7 @@ def _moved(
 
 
 def _focal(test: PriorTest, scene: Scene, index: int, sensor: int) -> _Pair:
-    """Of the calibrated focal length."""
+    """The calibrated focal length."""
     system, camera = test.system, scene.rigs[index].sensors[sensor]
     assert camera.camera is not None
     at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
@@ -189,6 +198,6 @@ def _focal(test: PriorTest, scene: Scene, index: int, sensor: int) -> _Pair:
         sensor=sensor,
         given=Statement(quantity=name, source="calibration", value=focal, sigma=held_to, unit="px", used=True),
         found=Statement(quantity=name, source=IMAGES, value=focal + float(solution.value[at]), sigma=own, unit="px"),
-        culprit=f"camera {camera.name} has another lens than its calibration says, or zoomed"
+        culprit=f"camera {camera.name} has another lens than its calibration, or was zoomed"
         + _or_late(test, ("lens", sensor)),
     )

@@ -1,7 +1,7 @@
-"""Sensors with too few ties to carry their own calibration: their place in the rig stays as given.
+"""Sensors with too few ties to determine their own calibration: their place in the rig stays as given.
 
-A camera that looks at sky and bridge decks has few true ties and some false ones. Refined with the rig it runs off: on
-``canal`` the up camera's focal length by a factor of four and its place by 24 m, and nothing in the error tells.
+A camera that looks at sky and bridge decks has few true ties and some false ones. Refined with the rig it diverges:
+on ``canal`` the up camera's focal length by a factor of four and its place by 24 m, and no residual shows it.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,8 @@ def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[
 
 
 def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> float:
-    """Model units of a metre: by prior positions far enough apart, else by the median baseline of the rig, else 1."""
+    """Model units per metre: from prior positions far enough apart, else from the median baseline
+    of the rig, else 1."""
     centre = transforms.centre(image_poses(model, scene))
     position = scene.world_from_rig[scene.frame, :3, 3]
     sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m, axis=1, initial=0.0))[scene.frame]

@@ -1,4 +1,4 @@
-"""What observations say of an error that many of them share, beside the unknowns of the adjustment."""
+"""Information of the observations on a shared error, in addition to the unknowns of the adjustment."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from scipy import sparse
 from tiegraph.sfm.adjustment.jacobians import Layout, System
 from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse, reduced
 
-_RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
+_RIDGE = 1e-6  # of the information: directions that the unknowns absorb completely
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A shared error: what its coefficients do to the gradient (C, K), and their second moment (K, K)."""
+    """A shared error: the effect of its coefficients on the gradient (C, K), and their second moment (K, K)."""
 
     gradient: np.ndarray
     moment: np.ndarray
 
     def covariance(self, solved: np.ndarray) -> np.ndarray:
-        """(F, F) of functions of the unknowns, by their solutions (C, F)."""
+        """(F, F) covariance of functions of the unknowns, from their solutions (C, F)."""
         moved = solved.T @ self.gradient
         return np.asarray(moved @ self.moment @ moved.T)
 
 
 @dataclass(frozen=True)
 class Score:
-    """What the observations say of K more unknowns at zero (``EffectWeights.score``)."""
+    """Score of K additional unknowns at zero (``EffectWeights.score``)."""
 
     gradient: np.ndarray  # (C, K) effect on the gradient of all points
     score: np.ndarray  # (K,)
     noise: np.ndarray  # (K, K) its covariance
-    information: np.ndarray  # (K, K) that the other unknowns leave of them
+    information: np.ndarray  # (K, K) on them, with the other unknowns eliminated
 
     def ridged(self) -> np.ndarray:
-        """(K, K) the covariance of the score, that can be inverted."""
+        """(K, K) invertible covariance of the score."""
         return self.noise + _RIDGE * np.diag(np.maximum(np.diag(self.information), 1e-12))
 
 
@@ -47,8 +47,8 @@ class EffectWeights:
     def __init__(
         self, seen: System, weights: tuple[np.ndarray, np.ndarray], share: float, prior: sparse.spmatrix, layout: Layout
     ) -> None:
-        """``weights`` (2O,) of the gradient and of the curvature; ``share``: of the points that are in ``seen``;
-        ``prior`` (C, C): information beside the observations, times the variance of a pixel."""
+        """``weights`` (2O,) of the gradient and of the curvature; ``share``: share of the points that is in ``seen``;
+        ``prior`` (C, C): prior information times the variance of a pixel."""
         self.seen, self.share, self._first = seen, share, weights[0]
         self._known = np.zeros(len(seen.residual))
         self._root = sparse.diags(np.sqrt(weights[1]))
@@ -64,7 +64,7 @@ class EffectWeights:
         self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
 
     def without(self, known: np.ndarray) -> EffectWeights:
-        """The same with what this part (2O,) of the observations' errors leaves in the residuals taken away."""
+        """The same with the residuals reduced by this known part (2O,) of the errors of the observations."""
         own = self._root @ known
         by_point = self._inverse @ (self.jp.T @ own)
         moved = self.normal.solve((self._jc.T @ own - self.cross @ by_point)[:, None])[:, 0] / self.share
@@ -78,8 +78,9 @@ class EffectWeights:
         return np.asarray(self._first[2 * observations])
 
     def score(self, columns: sparse.csr_matrix) -> Score:
-        """Of more unknowns with these columns (2O, K), at zero: effect on the gradient (C, K) of all points; and of the
-        points looked at, score (K,), its covariance (K, K), and the information (K, K) that the others leave of them.
+        """Score of additional unknowns with these columns (2O, K), at zero: effect on the gradient (C, K) of all
+        points; and for the sampled points the score (K,), its covariance (K, K), and the information (K, K) with the
+        others eliminated.
         """
         rows = np.flatnonzero(np.diff(columns.indptr))  # one camera or frame in a large model: a small part of all
         columns, jc, jp = columns[rows], self._jc[rows], self.jp[rows]
@@ -99,22 +100,22 @@ class EffectWeights:
 
 
 def _transposed_product(a: sparse.csr_matrix, b: sparse.csr_matrix) -> np.ndarray:
-    """(C, K) a'b of (R, C) and (R, K), of which few rows of ``b`` hold anything."""
+    """(C, K) product a'b of (R, C) and (R, K) where few rows of ``b`` are non-zero."""
     rows = np.flatnonzero(np.diff(b.indptr))
     return np.asarray((a[rows].T @ b[rows]).toarray())
 
 
 def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray) -> sparse.csr_matrix:
-    """(P, C) gradient of each point's share of the cost by its weighted residuals (2O,), its own three unknowns at
-    their minimum."""
-    number = jp.indices[jp.indptr[:-1]] // 3  # an observation touches one point
+    """(P, C) gradient of each point's share of the cost from its weighted residuals (2O,), with its own three
+    unknowns at their minimum."""
+    number = jp.indices[jp.indptr[:-1]] // 3  # each observation involves one point
     rows = np.arange(len(weighted))
     gather = sparse.csr_matrix((weighted, (number, rows)), shape=(jp.shape[1] // 3, len(weighted)))
     return (gather @ jc).tocsr()
 
 
 def likeliest(score: np.ndarray, noise: np.ndarray, effect: np.ndarray) -> tuple[float, float]:
-    """Gain in log likelihood over none, and size, of the effect (K, K) in a score (K,) with this noise (K, K)."""
+    """Gain in log likelihood over no effect, and size of the effect (K, K), for a score (K,) with this noise (K, K)."""
     root = np.linalg.cholesky(noise)
     half = np.linalg.solve(root, np.linalg.solve(root, effect).T)
     values, vectors = np.linalg.eigh((half + half.T) / 2)
@@ -131,8 +132,8 @@ def likeliest(score: np.ndarray, noise: np.ndarray, effect: np.ndarray) -> tuple
 def posterior(
     score: np.ndarray, noise: np.ndarray, information: np.ndarray, field: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (K,) and second moment (K, K) of coefficients with covariance ``field`` once their score is seen: what is
-    known of them stays in the moment, for the model is not corrected for it."""
+    """Posterior mean (K,) and second moment (K, K) of coefficients with prior covariance ``field``. The mean stays in
+    the moment because the model is not corrected for it."""
     across = field @ information
     kept = np.linalg.solve(noise + information @ across, across.T).T
     mean = kept @ score

@@ -1,4 +1,4 @@
-"""Lenses unlike their models: a smooth field of shifts over the image of each camera."""
+"""Lens errors beyond the camera model: a smooth field of shifts over the image of each camera."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,25 +11,25 @@ from tiegraph.sfm.adjustment.jacobians import System
 from tiegraph.sfm.systematic.effects import Effect, EffectWeights, likeliest, posterior
 
 _BINS = (12, 8)  # of an image, along its longer side and the other
-_REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: how far a lens error may reach
-_TOLD_SIGMAS = 4.0  # bins off by more are told
+_REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: correlation lengths of a lens error
+_TOLD_SIGMAS = 4.0  # bins that are off by more are listed
 
 
 @dataclass(frozen=True)
 class LensError:
-    """What a lens does unlike its model: ``rms_px`` of it, how far it reaches, its worst bins, and its effect."""
+    """The error of a lens beyond its model: its RMS ``rms_px``, correlation length, worst bins, and effect."""
 
     camera: int
     rms_px: float
     reach_px: float
-    worst: tuple[tuple[float, ...], ...]  # rows x, y of the bin's middle, mean dx, dy of what is left, sigmas
+    worst: tuple[tuple[float, ...], ...]  # rows x, y of the bin's middle, mean dx, dy of the residuals, sigmas
 
 
 def lens_errors(
     model: pycolmap.Reconstruction, weighed: EffectWeights
 ) -> tuple[list[tuple[LensError, Effect]], np.ndarray]:
-    """The shared error of each camera that the observations show, by its residuals over the image; (2O,) what of the
-    residuals it explains."""
+    """The shared error of each camera whose residuals show one over the image, and (2O,) the part of the residuals
+    that it explains."""
     out, explained = [], np.zeros(2 * len(weighed.seen.image))
     for key in np.unique(weighed.seen.camera).tolist():
         found = _lens_error(model.camera(key), weighed)
@@ -65,8 +65,8 @@ def _lens_error(camera: pycolmap.Camera, weighed: EffectWeights) -> tuple[LensEr
 
 @dataclass(frozen=True)
 class _Bins:
-    """Parts of the images of a camera: its observations (N,), the part that each is in (N,), the middles (B, 2) of the
-    parts, px, and the derivatives (2O, 2B) by a shift of each."""
+    """A grid over the images of a camera: its observations (N,), the bin of each (N,), the centres (B, 2) of the
+    bins, px, and the derivatives (2O, 2B) by a shift of each bin."""
 
     rows: np.ndarray
     number: np.ndarray
@@ -90,23 +90,23 @@ def _bins(camera: pycolmap.Camera, seen: System) -> _Bins:
 
 
 def _field(camera: pycolmap.Camera, middle: np.ndarray, reach: float) -> np.ndarray:
-    """(2B, 2B) correlations of the shifts of bins; ``reach`` in parts of the image's diagonal."""
+    """(2B, 2B) correlations of the shifts of bins; ``reach``: correlation length as a share of the image's diagonal."""
     apart = np.linalg.norm(middle[:, None] - middle[None], axis=2) / np.hypot(camera.width, camera.height)
     return np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
 
 
 @dataclass(frozen=True)
 class AssumedErrors:
-    """Shared errors that a network is planned with: of lenses, px, as in ``LensError``, by camera id, and how far they
-    reach in parts of the image's diagonal; sigmas by the errors that the observations of a point share over those by
-    independent ones."""
+    """Shared errors assumed in planning: lens errors, px, as in ``LensError``, by camera id, and their correlation
+    length as a share of the image's diagonal; and the ratio of sigmas with correlated errors within a point to those
+    with independent errors."""
 
     lens_px: Mapping[int, float]
     reach: float
     tracks: float = 1.0
 
     def effects(self, model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effect]:
-        """What the lenses do."""
+        """The effects of the lens errors."""
         out = []
         for key in np.unique(weighed.seen.camera).tolist():
             bins = _bins(model.camera(key), weighed.seen)

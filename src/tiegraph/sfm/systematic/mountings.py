@@ -1,4 +1,4 @@
-"""Cameras that do not stand where the rig has them: in all shots, or from shot to shot."""
+"""Cameras that are not at their places in the rig: in all shots, or varying from shot to shot."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from tiegraph.sfm.adjustment.jacobians import System, by_shift, frame_pose
 from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.systematic.effects import Effect, EffectWeights, Score, posterior
 
-_MOST_SHOTS = 40  # whose images' shifts are looked at, evenly over the pass
-_LEAST_OBSERVATIONS = 10  # of an image whose shift is looked at
-_SOME = 1000  # observations that tell how far a stray moves pixels
+_MOST_SHOTS = 40  # whose image shifts are used, evenly over the pass
+_LEAST_OBSERVATIONS = 10  # of an image whose shift is used
+_SOME = 1000  # observations for the pixels that a movement causes
 
 
 def misplaced(
@@ -23,11 +23,11 @@ def misplaced(
     held: Collection[int],
     off: Mapping[int, np.ndarray],
 ) -> tuple[list[Effect], np.ndarray]:
-    """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
-    (2O,) what of the residuals it explains.
+    """The deviations of the cameras of rigs (ids) held in the adjustment, as far as the images show them; (2O,) the
+    part of the residuals that they explain.
 
-    ``off``: rig id -> (6S, 6S) mean products of place (model units) and turn of its S cameras beside the reference,
-    where that is known otherwise."""
+    ``off``: rig id -> (6S, 6S) mean products of place (model units) and rotation of its S cameras beside the
+    reference, where they are known from elsewhere."""
     out, explained = [], np.zeros(2 * len(weighed.seen.image))
     for rig_id in sorted(set(held) & set(model.rigs)):
         every = sorted(s.id for s, pose in model.rig(rig_id).non_ref_sensors.items() if pose is not None)
@@ -46,7 +46,8 @@ def misplaced(
 
 
 def _shown_off(cameras: list[int], told: Score) -> tuple[Effect, np.ndarray] | None:
-    """By the images, with the mean (6S,) of the shifts and turns of S cameras; None where they show nothing."""
+    """From the images, with the mean (6S,) of the shifts and rotations of S cameras; None where the
+    images show none."""
     score, noise, information = told.score, told.ridged(), told.information
     place, turn, _ = two_sizes(score[None], noise[None], information[None])
     if place + turn <= 0:
@@ -57,9 +58,10 @@ def _shown_off(cameras: list[int], told: Score) -> tuple[Effect, np.ndarray] | N
 
 
 def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effect]:
-    """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
+    """Movement of cameras in the rig from shot to shot, where the observations show any.
 
-    All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
+    All cameras are treated alike, including the reference; the part that the pose of a frame absorbs is accounted
+    for.
     """
     shared = [own for own in _by_frame(model, weighed.seen) if len(own) > 1]
     if not shared:
@@ -73,8 +75,8 @@ def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effec
 
 @dataclass(frozen=True)
 class Stray:
-    """How far a camera strays from its place in the rig from shot to shot, sigmas of a coordinate: model units, rad,
-    and pixels in its images; ``gain`` in log likelihood over none."""
+    """Movement of a camera in the rig from shot to shot, sigmas of a coordinate: model units, rad, and pixels in its
+    images; ``gain`` in log likelihood over no movement."""
 
     place: float
     turn: float
@@ -83,7 +85,7 @@ class Stray:
 
 
 def strays_of(model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: Collection[int]) -> dict[int, Stray]:
-    """Those of some cameras (ids), each as if the others kept their places."""
+    """The movement of some cameras (ids), each as if the others were rigid."""
     frames, out = _by_frame(model, weighed.seen), {}
     for camera in cameras:
         own = [[i] for images in frames for i in images if model.image(i).camera_id == camera]
@@ -98,7 +100,7 @@ def strays_of(model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: C
 
 
 def _by_frame(model: pycolmap.Reconstruction, seen: System) -> list[list[int]]:
-    """Images that see enough, together those of one frame."""
+    """Images with enough observations, grouped by frame."""
     images, counts = np.unique(seen.image, return_counts=True)
     of_frame: dict[int, list[int]] = {}
     for image, count in zip(images.tolist(), counts.tolist()):
@@ -108,8 +110,8 @@ def _by_frame(model: pycolmap.Reconstruction, seen: System) -> list[list[int]]:
 
 
 def _straying(weighed: EffectWeights, groups: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Of images, in groups that are judged together: variances of a coordinate of place and turn that they show and the
-    gain in log likelihood over none (3,), and their effect (C, 6K) on the gradient."""
+    """For images in groups that are judged together: variances of a coordinate of place and rotation, the gain in log
+    likelihood over none (3,), and their effect (C, 6K) on the gradient."""
     chosen = [groups[k] for k in evenly(len(groups), _MOST_SHOTS)]
     size = 6 * max(len(own) for own in chosen)
     gradient, score = [], np.zeros((len(chosen), size))
@@ -123,7 +125,7 @@ def _straying(weighed: EffectWeights, groups: list[list[int]]) -> tuple[np.ndarr
 
 
 def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float]) -> list[Effect]:
-    """What is left open of when cameras (ids) fire, of which ``late_s`` is known beforehand: sigmas, s."""
+    """The effect of the unknown firing times of cameras (ids), with prior sigmas ``late_s``, s."""
     if not late_s:
         return []
     columns = [of_time(weighed.seen, motion, np.flatnonzero(weighed.seen.camera == k)) for k in sorted(late_s)]
@@ -141,13 +143,13 @@ def of_time(seen: System, motion: Motion, rows: np.ndarray) -> sparse.csr_matrix
 
 
 def _of_images(seen: System, images: list[int]) -> sparse.csr_matrix:
-    """(2O, 6K) derivatives by the shift of the centre and the turn of each of these images alone."""
+    """(2O, 6K) derivatives by the shift of the centre and the rotation of each of these images alone."""
     rows = np.flatnonzero(np.isin(seen.image, images))
     return _columns(seen, rows, by_shift(seen, rows), 6 * np.searchsorted(images, seen.image[rows]), 6 * len(images))
 
 
 def of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
-    """(2O, 6) derivatives by the shift and the turn, along the axes of the rig, of a camera in it."""
+    """(2O, 6) derivatives by the shift and the rotation of a camera, along the axes of the rig."""
     rows = np.flatnonzero(seen.camera == camera)
     images, number = np.unique(seen.image[rows], return_inverse=True)
     frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
@@ -158,15 +160,16 @@ def of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sp
 
 
 def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarray, width: int) -> sparse.csr_matrix:
-    """(2O, width) with the values (R, 2, 6) of some observations in six columns from ``first`` (R,)."""
+    """(2O, width) matrix with the values (R, 2, 6) of some observations in six columns from ``first`` (R,)."""
     row = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), 6)
     column = np.repeat(first[:, None] + np.arange(6), 2, axis=0).ravel()
     return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))
 
 
 def two_sizes(score: np.ndarray, noise: np.ndarray, information: np.ndarray) -> tuple[float, float, float]:
-    """Variances of place and turn, three numbers each in turn, that make scores (G, K) with this noise and information
-    (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it; and the gain in log likelihood."""
+    """Maximum likelihood variances of place and rotation, three numbers each in turn, for scores (G, K) with this
+    noise and information (G, K, K): the best of a coarse grid, then of a finer one around it; and the gain in log
+    likelihood."""
     is_place = np.arange(score.shape[1]) % 6 < 3
     parts = [information[:, :, own] @ information[:, own] for own in (is_place, ~is_place)]
     sizes = [float(np.median(_trace(noise) / np.maximum(_trace(part), 1e-300))) for part in parts]

@@ -1,4 +1,4 @@
-"""What sfm/rig decides by: each constant with its unit, its meaning and where its value comes from."""
+"""Constants of sfm/rig, each with its unit, meaning and origin."""
 
 from pydantic import Field
 
@@ -6,158 +6,158 @@ from tiegraph.settings import Section
 
 
 class LeverArmTuning(Section):
-    """What the cameras of a rig let expect of each other's places (`leverarmprior.py`)."""
+    """Prior of the places of cameras in a rig, from each other (`leverarmprior.py`)."""
 
     least_others: int = Field(4, ge=3)
-    """Cameras whose places tell something: twelve coordinates for the four unknowns of the rule."""
+    """Cameras needed for the prior: twelve coordinates for the four unknowns of the rule."""
     uneven: float = Field(1 / 3, gt=0)
-    """Sigma of the distance along the axis, of that distance: no housing is a sphere."""
+    """Sigma of the distance along the axis, as a share of it: no housing is a sphere."""
     inexact: float = Field(0.1, gt=0)
-    """Sigma of the distances in a drawing, of these."""
+    """Relative sigma of the distances in a drawing."""
     cauchy_sigmas: float = Field(2.0, gt=0)
-    """Scale of the robust weight, by which a camera that stands apart counts little."""
+    """Scale of the robust weight, by which a camera that does not follow the rule has little influence."""
 
 
 class RigPriorTuning(Section):
-    """What a rig file gives with a sigma (`rigpriors.py`)."""
+    """Values of a rig file with a sigma (`rigpriors.py`)."""
 
     least_deg: float = Field(0.001, gt=0)
-    """A sigma of 0 means "exactly": as hard as the solver bears."""
+    """A sigma of 0 means "exactly": the smallest sigma that the solver can handle."""
     least_m: float = Field(0.0001, gt=0)
-    """The same of places and lengths."""
+    """The same for places and lengths."""
     free_deg: float = Field(30.0, gt=0)
-    """Sigma of the turn of a sensor without sigmas of its own in a soft rig: pairs hold it."""
+    """Sigma of the rotation of a sensor without own sigmas in a soft rig: the pairs hold it."""
     free_m: float = Field(1.0, gt=0)
-    """The same of its place."""
+    """The same for its place."""
 
 
 class DeriveTuning(Section):
-    """Extrinsics from a model made without the rig (`rig.py`)."""
+    """Extrinsics derived from a model made without the rig (`rig.py`)."""
 
     min_frames: int = Field(3, gt=0)
-    """Frames that show a sensor with its reference; fewer tell nothing of their scatter."""
+    """Frames that show a sensor with its reference; fewer give no scatter."""
     max_scatter_deg: float = Field(1.0, gt=0)
     """MAD of the relative rotation; above: not rigid, not synchronised, or a bent model."""
     max_outliers: float = Field(0.4, ge=0, le=1)
     """Share of frames farther than `outlier_deg` from the average."""
     outlier_deg: float = Field(5.0, gt=0)
-    """Off the average rotation: such a frame has no say in the place."""
+    """Deviation from the average rotation beyond which a frame is not used for the place."""
 
 
 class SupportTuning(Section):
-    """Sensors with too few ties, and the model's units by what is given (`support.py`), where positions tell as much as
-    `sfm.start.scale` asks of them."""
+    """Sensors with too few ties, and the model's units from given values (`support.py`), where positions pass the
+    tests of `sfm.start.scale`."""
 
     min_ties: int = Field(2, gt=0)
-    """Verified pairs of an image that count as support."""
+    """Verified pairs that an image needs to be supported."""
     min_share: float = Field(0.5, ge=0, le=1)
-    """Of a sensor's images, that must have them."""
+    """Share of a sensor's images that must be supported."""
     position_sigmas: float = Field(10.0, gt=0)
-    """So many of their sigmas apart are two positions whose distance tells the scale."""
+    """Distance of two positions, in their sigmas, from which it determines the scale."""
     pairs: int = Field(2000, gt=0)
-    """Of positions that are compared, drawn at random."""
+    """Pairs of positions that are compared, drawn at random."""
 
 
 class DiagnosticsTuning(Section):
-    """A camera that strays from its place in the rig, or lost its sightings in the adjustment (`diagnostics.py`)."""
+    """A camera that moves in the rig, or lost its observations in the adjustment (`diagnostics.py`)."""
 
     min_scatter_px: float = Field(0.3, ge=0)
-    """In its images; less does no harm."""
+    """Movement in its images; a smaller one does no harm."""
     min_sightings: int = Field(200, gt=0)
-    """Of a camera in all its images, to judge what an adjustment left of them."""
+    """Observations of a camera in all its images that are needed to judge the share left by an adjustment."""
     min_kept: float = Field(0.6, ge=0, le=1)
-    """Share of them that a camera keeps, and of the share that the best camera keeps."""
+    """Share of its observations that a camera keeps, absolute and relative to that of the best camera."""
 
 
 class SystemTuning(Section):
     """The normal equations of a rig's unknowns (`linear.py`)."""
 
     most_points: int = Field(30_000, gt=0)
-    """A random part of more, and the sums are scaled up."""
+    """Points used; of more, a random sample, and the sums are scaled up."""
     most_frames: int = Field(400, gt=0)
-    """Of a longer model its best seen stretch of so many speaks for all."""
+    """Frames used; of a longer model, the section of this length with most observations."""
     least_frames: int = Field(5, gt=0)
-    """Of the rig, below which too little tells."""
+    """Frames of the rig that are needed."""
 
 
 class PriorTestTuning(Section):
-    """Which of a rig's givens the images contradict (`priortest.py`). Lenses in parts of f."""
+    """Test of which given values of a rig the images contradict (`priortest.py`). Lenses as shares of f."""
 
     given_m: float = Field(0.002, gt=0)
     """Sigma of the places of a calibrated rig unless its file gives one."""
     given_deg: float = Field(0.01, gt=0)
-    """And of the turns."""
+    """The same for the rotations."""
     freed_m: float = Field(0.5, gt=0)
     """Sigma of a place that is freed."""
     freed_deg: float = Field(5.0, gt=0)
-    """Of a turn that is freed."""
+    """Sigma of a rotation that is freed."""
     freed_lens: float = Field(0.05, gt=0)
-    """Of the parameters of a lens that is freed."""
+    """Sigma of the parameters of a lens that is freed."""
     unknown_share: float = Field(0.3, gt=0)
-    """Sigma of a time nobody speaks of in frame intervals, where frames have no times (else `late_s`)."""
+    """Sigma of an unknown firing time in frame intervals, where frames have no times (else `late_s`)."""
     strong: float = Field(10.0, ge=0)
     """BIC beyond which evidence is very strong (Kass and Raftery 1995)."""
     clear: float = Field(0.003, ge=0, le=1)
-    """Of the observations' sum of squares, that a group must explain: lenses are never quite as their model."""
+    """Share of the observations' sum of squares that a group must explain: lenses never follow their model exactly."""
 
 
 class ConfrontTuning(Section):
-    """What is said of a rig as given against the images (`confront.py`). Sigmas that a calibration is held to before
-    it is said to contradict the images: lenses are never quite as their model, and what they have left of distortion
-    turns and shifts cameras of a rig by so much (KITTI, PandaSet)."""
+    """Report of contradictions between a given rig and the images (`confront.py`). Sigmas of a calibration in that
+    test: lenses never follow their model exactly, and their remaining distortion rotates and shifts cameras of a rig
+    by this much (KITTI, PandaSet)."""
 
     held_to_m: float = Field(0.005, gt=0)
     """Of a place."""
     held_to_deg: float = Field(0.05, gt=0)
-    """Of a turn."""
+    """Of a rotation."""
     held_to_lens: float = Field(0.002, gt=0)
-    """Of a focal length, in parts of it."""
+    """Of a focal length, as a share of it."""
     held_to_time: float = Field(0.05, gt=0)
-    """Of the times of a rig said to be synchronised: ms, or % of the frame interval where frames have no times."""
+    """Of the times of a rig given as synchronised: ms, or % of the frame interval where frames have no times."""
     loosely_m: float = Field(0.05, gt=0)
-    """Of the place in extrinsics that a model found: all that is asked of these is the time."""
+    """Of the place in extrinsics derived from a model: these are tested for the times only."""
     loosely_deg: float = Field(3.0, gt=0)
-    """Of the turn in such extrinsics."""
+    """Of the rotation in such extrinsics."""
 
 
 class CameraMatchesTuning(Section):
-    """Matches between two cameras of a rig against the model (`diagnostics.py`). Shares of disagreeing matches: of
-    cameras with themselves 0.7 to 12 %, between two up to 10 % where all is well (boat, canal_demo, KITTI, vehicle),
-    19 to 79 % where they fire apart (pieces of PandaSet, vehicle 0.5 m apart along the way)."""
+    """Matches between two cameras of a rig compared with the model (`diagnostics.py`). Shares of contradicting
+    matches: within cameras 0.7 to 12 %, between two up to 10 % where all is well (boat, canal_demo, KITTI, vehicle),
+    19 to 79 % where they fire at different times (sections of PandaSet, vehicle 0.5 m apart along the path)."""
 
     contradicted: float = Field(0.2, ge=0, le=1)
-    """Share of disagreeing matches between two cameras that contradicts the model ..."""
+    """Share of contradicting matches between two cameras, from which they contradict the model ..."""
     times: float = Field(3.0, ge=1)
-    """... and so many times that of their own."""
+    """... and its ratio to the share within the cameras."""
     min_pairs: int = Field(4, gt=0)
-    """Of images with an opinion."""
+    """Pairs of images with a verdict that are needed."""
 
 
 class RigTuning(Section):
     """Constants of sfm/rig."""
 
     late_s: float = Field(0.1, gt=0)
-    """Sigma of when a camera fires after the reference, before the images speak and where nobody says."""
+    """Prior sigma of the delay of a camera relative to the reference, if it is unknown."""
     late_sigmas: float = Field(5.0, gt=0)
-    """A time this many sigmas from none is there."""
+    """Sigmas by which a delay must differ from zero."""
     late_wide: float = Field(16.0, ge=1)
-    """Times the error that an observation may have while times are found that move cameras by decimetres."""
+    """Factor on the tolerance for observations while delays that move cameras by decimetres are estimated."""
     late_rounds: int = Field(10, gt=0)
-    """Of an adjustment and a step of the times, until a step is below its sigma."""
+    """Rounds of an adjustment and a step of the delays, until a step is below its sigma."""
     held_deg: float = Field(0.01, gt=0)
-    """Of a camera of its own time against its frame, where positions bend the way: the turn."""
+    """Sigma of the rotation of a camera with its own time relative to its frame, where positions bend the path."""
     held_m: float = Field(0.003, gt=0)
-    """And the place."""
+    """The same for the place."""
     nominal_m: float = Field(0.02, gt=0)
-    """Sigma of a place in a drawn rig that the images did not tell."""
+    """Sigma of a place in a nominal rig that the images did not determine."""
     nominal_deg: float = Field(1.0, gt=0)
-    """And of its turn."""
+    """The same for its rotation."""
     tight_deg: float = Field(0.5, ge=0)
-    """Extrinsics known better than this lead the mapper as they are; worse ones it may refine."""
+    """Extrinsics with a smaller sigma are fixed in the mapper; it may refine others."""
     priors: RigPriorTuning = Field(default_factory=RigPriorTuning)
-    """What a file gives with a sigma."""
+    """Values of a file with a sigma."""
     derive: DeriveTuning = Field(default_factory=DeriveTuning)
-    """Extrinsics from a model without rig."""
+    """Extrinsics derived from a model without rig."""
     support: SupportTuning = Field(default_factory=SupportTuning)
     """Sensors without ties, and the model's units."""
     diagnostics: DiagnosticsTuning = Field(default_factory=DiagnosticsTuning)
@@ -165,8 +165,8 @@ class RigTuning(Section):
     system: SystemTuning = Field(default_factory=SystemTuning)
     """The linearised rig."""
     prior_test: PriorTestTuning = Field(default_factory=PriorTestTuning)
-    """What is freed."""
+    """Test of given values."""
     confront: ConfrontTuning = Field(default_factory=ConfrontTuning)
-    """What is said."""
+    """Report of contradictions."""
     camera_matches: CameraMatchesTuning = Field(default_factory=CameraMatchesTuning)
     """Ties between the cameras."""

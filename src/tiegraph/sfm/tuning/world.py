@@ -1,4 +1,4 @@
-"""What sfm/world decides by: each constant with its unit, its meaning and where its value comes from."""
+"""Constants of sfm/world, each with its unit, meaning and origin."""
 
 from pydantic import Field
 
@@ -8,182 +8,183 @@ from tiegraph.settings import Section
 
 
 class FixTuning(Section):
-    """Measured positions, for the mapper (`database.py`) and tied to the poses about their time (`fixes.py`)."""
+    """Measured positions, for the mapper (`database.py`) and connected to the poses around their time (`fixes.py`)."""
 
     held_out_every: int = Field(5, ge=2)
-    """ALGORITHMS: every fifth position is left out of the fit, to look at its residual."""
+    """ALGORITHMS: every fifth position is left out of the fit to examine its residual."""
     least_to_hold_out: int = Field(10, gt=0)
-    """Positions below which none is held out: a fit without a fifth of them says little."""
+    """Positions below which none is held out: too few would remain for the fit."""
     rows_per_frame: int = Field(5, ge=0)
-    """Of the receiver, that are used between two frames: more say the same once more. 0: positions at frames alone."""
+    """Rows of the receiver used between two frames: more add no information. 0: positions at frames alone."""
     max_step: float = Field(3.0, ge=1)
-    """Median steps of a pass: no interpolation across wider gaps between frames."""
+    """Gap between frames, in median steps of the pass, beyond which positions are not interpolated."""
     cubic_error: float = Field(0.03, ge=0)
-    """Of the third difference: error of interpolation between frames. A cubic between evenly spaced frames errs by
-    0.023 of the fourth, which a sharp turn makes as large as the third."""
+    """Interpolation error as a share of the third difference. A cubic between evenly spaced frames errs by 0.023 of
+    the fourth difference, which a sharp turn makes as large as the third."""
     parabola_error: float = Field(0.06, ge=0)
-    """Of the second difference: the same at the ends of a pass, where it is 0.06 of the third."""
+    """The same for the second difference at the ends of a pass, where the error is 0.06 of the third."""
     unknown_sigma_m: float = Field(10.0, gt=0)
-    """Of a position whose source gives none (hand-held GPS)."""
+    """Sigma of a position whose source gives none (hand-held GPS)."""
     floor_m: float = Field(0.05, gt=0)
-    """Of a stated sigma, while it is not known how large the errors are: below, poses and times err as much."""
+    """Smallest sigma used while the actual errors are unknown: poses and times have errors of this size."""
     lasting: float = Field(0.7, ge=0)
-    """Of a receiver's stated sigma: what outlasts a survey, which no residual tells (half of the variance: base
-    station, atmosphere)."""
+    """Part of a receiver's stated sigma that is constant during a survey, so that no residual shows it (half of the
+    variance: base station, atmosphere)."""
     levels_per_octave: float = Field(2.0, gt=0)
-    """Of the stated sigma: fixes of one level share one factor of it."""
+    """Levels of the stated sigma: fixes of one level share one factor."""
 
 
 class NoiseTuning(Section):
-    """How much worse positions are than their sigmas say (`positionerrors.py`)."""
+    """Ratio of the errors of positions to their stated sigmas (`positionerrors.py`)."""
 
     max_factor: float = Field(30.0, ge=1)
-    """On a stated sigma."""
+    """Largest factor on a stated sigma."""
     min_rows: int = Field(6, gt=1)
-    """Of a level, to say anything of its factor; of positions with times, to say anything of their correlation."""
+    """Positions of a level that are needed to estimate its factor; with times, to estimate their correlation."""
     max_correlation: float = Field(0.9, ge=0, lt=1)
-    """Of neighbours in time: what looks more correlated is believed to be so much."""
+    """Largest correlation of neighbours in time that is used."""
     slow_s: float = Field(60.0, gt=0)
-    """How long slow errors of a receiver last (multipath), before the residuals speak (`positionerrors.py`)."""
+    """Prior correlation time of slow errors of a receiver (multipath) (`positionerrors.py`)."""
     belief: float = Field(1.0, gt=0)
-    """Sigma of the logarithms of the sizes of errors and of that time, before the residuals speak."""
+    """Prior sigma of the logarithms of the sizes of errors and of that time."""
 
 
 class MarkTuning(Section):
     """Marked points in the model (`marks.py`)."""
 
     mark_sigma_px: float = Field(1.0, gt=0)
-    """Of a mark set by hand."""
+    """Sigma of a mark set by hand."""
     pose_sigma_px: float = Field(0.2, ge=0)
-    """What pose and lens of an image add to the sigma of a mark that was found by itself: as much as feature points
-    are off in a good model."""
+    """Contribution of pose and lens of an image to the sigma of an automatically found mark: the error of feature
+    points in a good model."""
     min_angle_deg: float = Field(1.0, ge=0)
-    """Between rays, to believe where they meet."""
+    """Smallest angle between rays at which their intersection is used."""
     max_mark_px: float = Field(20.0, gt=0)
-    """A mark this far from its point is a wrong click or a wrong image."""
+    """A mark at this distance from its point is a wrong click or in a wrong image."""
     soft_px: float = Field(3.0, gt=0)
-    """Scale of the robust loss (soft L1) by which rays meet; marks that are off by less were made in these images."""
+    """Scale of the robust loss (soft L1) in intersecting rays; marks with smaller errors were made in these images."""
     min_for_copy: int = Field(3, gt=0)
-    """Points marked twice, to tell in which copies of the images the marks were made."""
+    """Points with two marks or more that are needed to find the copies of the images in which the marks were made."""
     points_for_copy: int = Field(20, gt=0)
-    """That many of the most often marked are asked."""
+    """Number of points with most marks that are used."""
     min_to_refuse: int = Field(5, ge=4)
-    """Control points, of which four tell which one is wrong."""
+    """Control points that are needed to identify a wrong one by the other four."""
     free_for_copy: int = Field(10, gt=0)
-    """Values less unknowns that count at most where copies are compared, for marks share the errors of a model: in the
-    right one they are off by a third of what they are in any other."""
+    """Largest redundancy that counts where copies are compared, because marks share the errors of a model: in the
+    correct copy their errors are a third of those in any other."""
     much_better: float = Field(3.0, ge=1)
-    """Times the others agree without it."""
+    """Factor by which the other points must agree better without a refused one."""
     refused_of: int = Field(3, gt=0)
-    """One in so many control points may be refused, and one in so many marks of a point unless the rest is beyond
+    """One of so many control points may be refused, and one of so many marks of a point unless the others are beyond
     chance."""
 
 
 class ScaleTuning(Section):
-    """Metres per model unit by the rig's baselines (`scale.py`). ALGORITHMS section 4: with 6 cm at 15 m a 2 mm error
-    of the baseline is 3.3 % of scale; never take scale from that."""
+    """Metres per model unit from the rig's baselines (`scale.py`). ALGORITHMS section 4: with 6 cm at 15 m a 2 mm
+    error of the baseline is 3.3 % of scale; never take the scale from that."""
 
     baseline_sigma_m: float = Field(0.002, gt=0)
-    """Of the distance of two cameras of a rig unless its file gives one."""
+    """Sigma of the distance of two cameras of a rig unless its file gives one."""
     angle_sigma_rad: float = Field(0.00017, gt=0)
-    """0.01 deg: what is left of the extrinsic rotation; it acts like a parallax."""
+    """0.01 deg: remaining error of the extrinsic rotation; it acts like a parallax."""
     max_sigma: float = Field(0.015, gt=0)
-    """Of the scale, to be trusted."""
+    """Largest relative sigma of the scale at which it is used."""
     long_share: float = Field(0.7, ge=0, lt=1)
-    """Of the longest baseline: those that are longer tell the scale."""
+    """Share of the longest baseline; longer ones determine the scale."""
     depth_points: int = Field(20_000, gt=0)
-    """Points whose distances are looked at, about."""
+    """Approximate number of points whose distances are used."""
 
 
 class FitTuning(Section):
     """The similarity from a model to the world (`fit.py`)."""
 
     inlier_sigmas: float = Field(3.0, gt=0)
-    """Per axis: a position within is believed; scale of the Cauchy loss over its vector."""
+    """Per axis: a position within is used; also the scale of the Cauchy loss on its vector."""
     cauchy_scales: tuple[float, ...] = (4.0, 1.0)
-    """The robust fit begins with a loss that is wider by this."""
+    """Factors on the scale of the loss, in order."""
     orientation_sigma_deg: float = Field(3.0, gt=0)
-    """Orientations of a trajectory are not independent from frame to frame: together they weigh as much as
-    `orientation_freedom` of this sigma."""
+    """Orientations of a trajectory are not independent from frame to frame: together they have the weight of
+    `orientation_freedom` independent ones with this sigma."""
     orientation_freedom: int = Field(4, gt=0)
     """See `orientation_sigma_deg`."""
     antenna_sigma_m: float = Field(1.0, gt=0)
-    """Weak prior of a lever arm that no file gives: boats and cars carry it not much farther."""
+    """Weak prior of an unknown lever arm: boats and cars have the antenna not much farther away."""
     offset_sigma_s: float = Field(1.0, gt=0)
-    """Weak prior of the receiver's clock against the cameras'."""
+    """Weak prior of the receiver's clock offset."""
     rounds: int = Field(6, gt=0)
-    """Of reweighting, at most, for each scale of the loss and for the choice of the inliers."""
+    """Rounds of reweighting, at most, for each scale of the loss and for the choice of the inliers."""
     converged: float = Field(1e-5, ge=0)
-    """Radians, metres, log scale: a step that ends the rounds."""
+    """Radians, metres, log scale: a smaller step ends the rounds."""
 
 
 class SourceTuning(Section):
-    """What each source of a placement says by itself (`sources.py`, `weighing.py`)."""
+    """Statements of each source of a georeference by itself (`sources.py`, `weighing.py`)."""
 
     told_deg: float = Field(20.0, gt=0)
-    """A turn known worse than that says nothing."""
+    """Largest sigma of a rotation that is stated."""
     told_scale: float = Field(0.3, gt=0)
-    """Sigma of a scale that is stated."""
+    """Largest sigma of a scale that is stated."""
     any_scale: float = Field(1.0, gt=0)
-    """Sigma of a scale beyond which a source has no say in it."""
+    """Sigma of a scale beyond which a source is not used for it."""
     common_deg: float = Field(1.5, ge=0)
-    """What the orientations of a path have in common does not average out."""
+    """Error common to the orientations of a path, which does not average out."""
     rounds: int = Field(2, gt=0)
-    """In which the sigmas of a source follow the scatter about its own fit."""
+    """Rounds in which the sigmas of a source follow the scatter about its own fit."""
 
 
 class SimilarityFitTuning(Section):
-    """Which evidence there is, and whether lever arm and clock can be told from it (`similarityfit.py`)."""
+    """Selection of evidence, and whether it determines lever arm and clock (`similarityfit.py`)."""
 
     min_positions: int = Field(3, ge=3)
-    """Positions and control points, to place a model."""
+    """Positions and control points that are needed to place a model."""
     rounds: int = Field(2, gt=0)
-    """Of placing: the second time with the true scale for frames known through another camera than the first."""
+    """Rounds of placing: the second has the true scale for frames known through another camera than the first."""
     noise_rounds: int = Field(3, ge=0)
-    """In which sigmas follow the residuals."""
+    """Rounds in which sigmas follow the residuals."""
     roll_limit_deg: float = Field(10.0, gt=0)
-    """Sigma of the roll about the track above which lone cameras' upright direction is used."""
+    """Sigma of the roll about the track above which the upward direction of single cameras is used."""
     tilt_share: float = Field(0.5, gt=0)
-    """Of the sigma of a ring's upright direction: above that sigma of the tilt it is used."""
+    """Share of the sigma of a ring's upward direction: above it, as a sigma of the tilt, that direction is used."""
     many_points: int = Field(8, gt=0)
-    """Control points among which a wrong one does not hide."""
+    """Control points among which a wrong one cannot hide."""
     at_frame: float = Field(0.9, ge=0, le=1)
-    """Weight of one frame in a fix, to compare orientations."""
+    """Weight of one frame in a fix from which their orientations are compared."""
     looks_up_deg: float = Field(45.0, gt=0, lt=90)
-    """By which cameras look up on average that look at a ceiling, or down from a flight that is turned over: those at a
-    facade look up less."""
+    """Mean upward angle of cameras that look at a ceiling, or down from a flight that is turned over; cameras at a
+    facade have smaller ones."""
 
 
 class StatementTuning(Section):
-    """What a placement says of itself (`statements.py`, `georef.py`)."""
+    """Remarks on a georeference (`statements.py`, `georef.py`)."""
 
     scatter: float = Field(3.0, ge=1)
-    """Times the stated sigma: what is beyond is no scatter but contradicts it."""
+    """Factor on the stated sigma beyond which the scatter contradicts it."""
     scatter_told: float = Field(1.5, ge=1)
-    """Times the stated sigma: less scatter is not worth a note."""
+    """Factor on the stated sigma from which the scatter is reported."""
     agreeing: float = Field(0.7, ge=0, le=1)
-    """Of the positions, below which they and the model contradict each other."""
+    """Share of the positions that agree with the model, below which they contradict each other."""
     least_positions: int = Field(6, gt=0)
-    """For that."""
+    """Positions that are needed for that."""
     rig_tells: float = Field(0.5, gt=0)
-    """Of the sigma that the positions leave of the scale: below it the rig's baselines are named as its source."""
+    """Ratio of the scale's sigma to that of the positions alone, below which the rig's baselines are named as its
+    source."""
 
 
 class AdjustmentTuning(Section):
-    """The bundle adjustment in the world, and whether it stands its check (`georeferencing.py`)."""
+    """The bundle adjustment in the world and its check (`georeferencing.py`)."""
 
     rounds: int = Field(3, gt=0)
-    """Of bending the model and fitting it anew, at most."""
+    """Rounds of bending the model and fitting it again, at most."""
     least_bend: float = Field(0.05, ge=0)
-    """Of the sigma of the shape: what is bent by less stays as it is."""
+    """Bend as a share of the sigma of the shape, below which the model stays as it is."""
     worse_pixels: float = Field(1.05, ge=1)
-    """Times the reprojection error before: more, and the positions bend the model."""
+    """Ratio of reprojection errors after and before: above it, the positions bend the model."""
     not_worse: float = Field(1.01, gt=0)
-    """Times the held-out residual of the similarity, that the adjustment may have."""
+    """Largest ratio of the held-out residual of the adjustment to that of the similarity."""
     clip_sigmas: float = Field(5.0, gt=0)
-    """An outlier among the held-out positions counts as that."""
+    """Limit on the residual of a held-out outlier."""
     min_held: int = Field(3, gt=0)
-    """Held-out positions below which their check says nothing."""
+    """Held-out positions that are needed for their check."""
 
 
 class WorldTuning(Section):
@@ -192,22 +193,22 @@ class WorldTuning(Section):
     fixes: FixTuning = Field(default_factory=FixTuning)
     """Measured positions."""
     noise: NoiseTuning = Field(default_factory=NoiseTuning)
-    """Their sigmas."""
+    """Sigmas of positions."""
     up: UpTuning = Field(default_factory=UpTuning)
     """The upward direction."""
     marks: MarkTuning = Field(default_factory=MarkTuning)
     """Control points."""
     scale: ScaleTuning = Field(default_factory=ScaleTuning)
-    """The scale by the rig."""
+    """The scale from the rig."""
     fit: FitTuning = Field(default_factory=FitTuning)
     """The similarity."""
     sources: SourceTuning = Field(default_factory=SourceTuning)
     """The sources by themselves."""
     similarity_fit: SimilarityFitTuning = Field(default_factory=SimilarityFitTuning)
-    """The placement."""
+    """The fit."""
     trend: TrendTuning = Field(default_factory=TrendTuning)
-    """Residuals that are no noise."""
+    """Systematic residuals."""
     statements: StatementTuning = Field(default_factory=StatementTuning)
-    """What is said of it."""
+    """Remarks."""
     adjustment: AdjustmentTuning = Field(default_factory=AdjustmentTuning)
-    """The adjustment with the positions."""
+    """The adjustment with positions."""

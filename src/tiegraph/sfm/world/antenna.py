@@ -1,7 +1,7 @@
-"""What a placement says of the receiver, beside its positions: how noisy, where its antenna is, how late its clock.
+"""What a georeference determines of the receiver beside its positions: their noise, its antenna, its clock offset.
 
-Lever arm and clock are unknowns of the placement with what is believed of them beforehand; those that the positions
-hardly tell stay as given (``positionerrors``).
+Lever arm and clock offset are unknowns with priors; values that the positions hardly determine stay as given
+(``positionerrors``).
 """
 
 from dataclasses import dataclass, replace
@@ -18,12 +18,13 @@ from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.positionerrors import HARDLY, factors
 from tiegraph.text import known_to
 
-RIGHT_ANGLE_DEG = 90.0  # an angle with a larger sigma is not known
+RIGHT_ANGLE_DEG = 90.0  # an angle with a larger sigma is unknown
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Evidence and its fit; the first rows of the evidence are the ``fixes``, ``up`` is what the cameras say of up."""
+    """Evidence and its fit; the first rows of the evidence are the ``fixes``, ``up`` is the upward direction of the
+    cameras."""
 
     evidence: Evidence
     fit: Fit
@@ -32,7 +33,7 @@ class Fitted:
 
 
 def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, tuning: WorldTuning) -> Fitted:
-    """The evidence with the fixes' sigmas stretched to what their residuals say, and its fit."""
+    """The evidence with the fixes' sigmas scaled to their residuals, and its fit."""
     used = up_to_use(evidence, up, [], tuning, near)
     fit = fit_similarity(evidence, used, tuning.fit, near)
     count = len(fixes)
@@ -60,38 +61,38 @@ def arm_sigma(fit: Fit, evidence: Evidence) -> tuple[float, float]:
 
 
 def arm_text(fit: Fit, evidence: Evidence, tuning: WorldTuning) -> str:
-    """What the positions tell of the lever arm, in words."""
+    """The lever arm determined from the positions, in words."""
     plan, height = arm_sigma(fit, evidence)
     open_m = HARDLY * tuning.fit.antenna_sigma_m
     if not told(fit, evidence):
         return (
-            f"no lever arm given and none estimated (it is known to {plan:.2f} m only: that needs headings that "
-            "differ, such as a return pass): the antenna is taken to be at the reference camera"
+            f"no lever arm is given and none could be estimated (sigma {plan:.2f} m; an estimate needs different "
+            "headings, such as a return pass): the antenna is assumed to be at the reference camera"
         )
     x, y, z = fit.arm.place
-    text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
+    text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, sigma {plan:.2f} m in plan"
     if height > open_m:
         text += (
-            "; its height cannot be told from the height of the world (taken as that of the camera, to 1 m): "
-            "measure the antenna's height above the cameras where heights matter"
+            "; its height cannot be separated from the height of the world (it is assumed to be that of the camera, "
+            "sigma 1 m): measure the antenna's height above the cameras where heights matter"
         )
-    return text + "; a receiver whose positions jump between the passes looks the same and cannot be told from it"
+    return text + "; a receiver whose positions jump between the passes has the same effect"
 
 
 def told(fit: Fit, evidence: Evidence) -> bool:
-    """Whether the positions tell the lever arm: it moved from what is given; what is not told stays."""
+    """Whether the positions determine the lever arm: then it moved from its prior value."""
     return bool(np.any(fit.arm.place != evidence.arm.place))
 
 
 def clock_text(fit: Fit, evidence: Evidence) -> str:
-    """What the positions tell of the receiver's clock, in words."""
+    """The receiver's clock offset determined from the positions, in words."""
     sigma, value = fit.clock.sigma_s, fit.clock.offset_s
     if not value:
         speed = np.zeros(1) if evidence.speed is None else np.linalg.norm(evidence.speed[:, :3, 3], axis=1)
         metres = sigma * float(np.median(speed)) * fit.similarity.scale
         return (
-            f"the receiver's clock against the cameras' cannot be told (to {sigma:.2f} s, {metres:.2f} m on the way): "
-            "at constant speed it is the lever arm along the track"
+            f"the receiver's clock offset from the cameras cannot be determined (sigma {sigma:.2f} s, {metres:.2f} m "
+            "along the path): at constant speed it acts like a lever arm along the track"
         )
     if abs(value) > LIMIT * sigma:
         return f"the receiver's clock is {value:+.3f} s (sigma {sigma:.3f}) off the cameras': taken into account"
@@ -99,7 +100,7 @@ def clock_text(fit: Fit, evidence: Evidence) -> str:
 
 
 def with_clock(tuning: WorldTuning, scene: Scene) -> WorldTuning:
-    """Times are right to a step between frames at worst: beyond, positions would belong to other frames."""
+    """Limit the clock offset to one step between frames: beyond it, positions would belong to other frames."""
     steps = np.diff(scene.time_s)[np.diff(scene.sequence) == 0]
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
     fit = tuning.fit.model_copy(update={"offset_sigma_s": min(step, tuning.fit.offset_sigma_s)})
@@ -107,13 +108,13 @@ def with_clock(tuning: WorldTuning, scene: Scene) -> WorldTuning:
 
 
 def _as_good(upright: Fit, alone: Fit, tuning: StatementTuning) -> bool:
-    """Whether as many positions agree with the one fit as with the other, with errors that they may have."""
+    """Whether as many positions agree with the one fit as with the other, within their possible errors."""
     few = upright.inlier.sum() < tuning.agreeing * alone.inlier.sum()
     return not few and _worst(upright) <= tuning.scatter * max(1.0, _worst(alone))
 
 
 def _worst(fit: Fit) -> float:
-    """Errors of the positions over what is stated of them, of the level where they are largest."""
+    """Ratio of the errors of the positions to their stated sigmas, for the level where it is largest."""
     return max((factor for _, factor, _ in fit.levels), default=1.0)
 
 
@@ -125,12 +126,12 @@ def up_to_use(
     alone: Fit | Similarity | None = None,
     upright: Fit | None = None,
 ) -> Up | None:
-    """The cameras' upward direction if the positions need it (a straight track leaves the roll about it open) and do
-    not refute it: photographs straight down have tops that point anywhere.
+    """The cameras' upward direction if the positions need it (a straight track leaves the roll about it undetermined)
+    and do not refute it: photographs straight down have tops in any direction.
 
-    ``alone``: the fit without it, or a similarity that is known to be about right; ``upright``: the best fit with it.
-    Of two passes a few metres apart metres of error turn one over the other, and where they have done so the sigma of
-    the turn is small: so it is refuted only where positions would be off by more with it than they may be.
+    ``alone``: the fit without it, or an approximately correct similarity; ``upright``: the best fit with it. For two
+    passes a few metres apart, errors of metres turn one over the other, and then the sigma of the rotation is small.
+    So the direction is refuted only if the positions would have larger errors with it than they can have.
     """
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
@@ -143,27 +144,27 @@ def up_to_use(
     stands = upright is not None and leaning_deg(evidence, upright.similarity, up) < LIMIT * up.sigma_deg
     if apart and upright is not None and stands and _as_good(upright, alone, tuning.statements):
         notes.append(
-            f"the positions alone would have the model lean by {off:.0f} deg; the upward direction of {up.cameras} "
-            f"holds it, to about {up.sigma_deg:.0f} deg, for which they need be off by no more than "
+            f"with the positions alone the model would lean by {off:.0f} deg; the upward direction of {up.cameras} is "
+            f"used, with a sigma of about {up.sigma_deg:.0f} deg, because the positions agree with it to within "
             f"{_worst(upright):.1f} times their sigmas"
         )
         return up
     if apart:
         notes.append(
-            f"the positions tell what is level ({known}): the upward direction of {up.cameras} is {off:.0f} deg off "
-            "and not used"
+            f"the positions determine the tilt ({known}): the upward direction of {up.cameras} is {off:.0f} deg off "
+            "and is not used"
         )
         return None
     if up.tilt and tilt > tuning.similarity_fit.tilt_share * up.sigma_deg:
         notes.append(
-            f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
-            f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "
-            "told along so straight a track"
+            f"the positions do not determine the tilt ({known}): the upward direction of {up.cameras} does, with a "
+            f"sigma of about {up.sigma_deg:.0f} deg; along so straight a track an exchange of east and north, or of "
+            "one of them and the height, cannot be detected"
         )
     elif not up.tilt and tilt > tuning.similarity_fit.roll_limit_deg:
         notes.append(
-            f"the positions lie nearly on a straight line (roll about it {known}): the upward direction of "
-            f"{up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
+            f"the positions are nearly on a straight line (roll about it {known}): the upward direction of "
+            f"{up.cameras} determines the roll, with a sigma of about {up.sigma_deg:.0f} deg"
         )
     else:
         return None

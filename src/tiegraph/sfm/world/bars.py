@@ -1,4 +1,4 @@
-"""Scale bars in the model: what each says of the scale, which are believed, and what is left of each."""
+"""Scale bars in the model: the scale from each, which are used, and their residuals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,8 +17,8 @@ from tiegraph.sfm.world.scale import BARS, RigScale
 
 @dataclass(frozen=True)
 class BarsFound:
-    """Bars in a model: their length and its sigma there (B,), model units, NaN = an end has no place; why a bar
-    is not used (B,), "" = it is; the scale they give, None = none of them can be used; what contradicts what."""
+    """Bars in a model: their length and its sigma there (B,), model units, NaN = an end has no place; why a bar is
+    not used (B,), "" = it is; the scale from them, None = none can be used; contradictions between them."""
 
     bars: ScaleBars
     length: np.ndarray
@@ -29,11 +29,12 @@ class BarsFound:
 
     @property
     def used(self) -> np.ndarray:
-        """(B,) those that hold the scale."""
+        """(B,) the bars that determine the scale."""
         return np.array([not why for why in self.why_not], bool) & ~self.bars.check
 
     def rows(self, metres_per_unit: float) -> tuple[dict[str, Any], ...]:
-        """One row a bar, for world.json: lengths as measured and in the model, their difference and its sigma."""
+        """One row for each bar, for world.json: lengths as measured and in the model, their
+        difference and its sigma."""
         out = []
         for k, (a, b) in enumerate(self.bars.ends):
             here, known = metres_per_unit * self.length[k], float(self.bars.length_m[k])
@@ -50,7 +51,7 @@ class BarsFound:
         return tuple(out)
 
     def told(self, rows: Sequence[dict[str, Any]], scale_sigma: float) -> tuple[str, ...]:
-        """The contradictions, and check bars that are off by more than chance allows with a scale known so well."""
+        """The contradictions, and check bars whose error exceeds chance at this sigma of the scale."""
         out = list(self.contradictions)
         for k, row in enumerate(rows):
             if row["off_mm"] is None or not self.bars.check[k]:
@@ -67,9 +68,9 @@ class BarsFound:
 def bars_in(
     model: pycolmap.Reconstruction, scene: Scene, bars: ScaleBars | None, tuning: MarkTuning
 ) -> BarsFound | None:
-    """The bars in a model, and the scale they hold; None without any.
+    """The bars in a model, and the scale from them; None without any.
 
-    Of three and more the one that the others contradict is left out, if these agree; one after the other. Where two
+    Of three or more bars, one that contradicts the others is left out if these agree; then the next. If two bars
     contradict each other, both are used and the sigma of the scale covers them.
     """
     if bars is None:
@@ -99,9 +100,15 @@ def _judged(found: BarsFound) -> BarsFound:
         worst, others = _worst(log, spread, use)
         if worst is None:
             break
-        text = f"it would make the model {np.exp(log[worst] - others) - 1:+.2%} as large as the {len(use) - 1} others"
+        text = (
+            f"it would change the size of the model by {np.exp(log[worst] - others) - 1:+.2%} relative to the "
+            f"{len(use) - 1} others"
+        )
         why[worst] = text
-        said.append(f"scale bar {_name(bars, worst)} is not used: {text}, which agree: measured wrongly, or moved?")
+        said.append(
+            f"scale bar {_name(bars, worst)} is not used: {text}, which agree with each other; was it measured "
+            "wrongly, or moved?"
+        )
         use = use[use != worst]
     if not len(use):
         return found
@@ -113,8 +120,8 @@ def _judged(found: BarsFound) -> BarsFound:
     if off > LIMIT:
         a, b = (_name(bars, k) for k in pair)
         said.append(
-            f"scale bars {a} and {b} contradict each other by {np.expm1(np.ptp(log[use])):.2%} of scale "
-            f"({off:.1f} sigmas), and nothing tells which is wrong: both are used, and the scale is stated accordingly"
+            f"scale bars {a} and {b} contradict each other by {np.expm1(np.ptp(log[use])):.2%} of scale ({off:.1f} "
+            "sigmas), and it is unknown which is wrong: both are used, and the sigma of the scale covers both"
         )
     sigma = max(sigma * max(factor, 1.0), float(np.ptp(log[use])) / 2 if off > LIMIT else 0.0)
     scale = RigScale(metres_per_unit=float(np.exp(value)), sigma=sigma, trusted=True, source=BARS)
@@ -122,7 +129,7 @@ def _judged(found: BarsFound) -> BarsFound:
 
 
 def _worst(log: np.ndarray, spread: np.ndarray, use: np.ndarray) -> tuple[int | None, float]:
-    """The bar that the others contradict while they agree with each other, and their logarithm of the scale."""
+    """The bar that contradicts the others while they agree with each other, and the logarithm of their scale."""
     for k in use[np.argsort(-np.abs(log[use] - np.median(log[use])) / spread[use])]:
         rest = use[use != k]
         value, sigma = _mean(log[rest], spread[rest])

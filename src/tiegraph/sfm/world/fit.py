@@ -16,7 +16,7 @@ from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
 from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
 from tiegraph.sfm.world.unknowns import Bend, Clock, FittedArm, LeverArm, LogScale
 
-_OPEN = 1e-6  # squared sine between an unknown and what residuals tell, beyond which it is open
+_OPEN = 1e-6  # squared sine between an unknown and the residuals' directions, above which it is undetermined
 _STEPS = 3  # of linearising about the errors of the positions
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
@@ -25,9 +25,9 @@ _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 class Evidence:
     """K places known in the model and in the world: model poses (K, 4, 4), positions (K, 3) and sigmas (K, 3).
 
-    A pose may be a weighted sum of frames' poses, and that of a control point has no rotation (zeros): its lever arm is
-    nothing. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
-    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig says nothing of the scale.
+    A pose may be a weighted sum of frames' poses. That of a control point has no rotation (zeros), so that it has no
+    lever arm. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
+    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig does not determine the scale.
     """
 
     frame: np.ndarray
@@ -42,11 +42,11 @@ class Evidence:
     bend: Bend | None = None
 
     def without_orientations(self) -> Evidence:
-        """The same, nothing known of orientations."""
+        """The same without orientations."""
         return replace(self, orientation=np.full_like(self.orientation, np.nan))
 
     def with_arm(self, estimate: bool) -> Evidence:
-        """The same, the lever arm an unknown or not."""
+        """The same with the lever arm as an unknown or not."""
         return replace(self, arm=replace(self.arm, estimate=estimate))
 
     def where(self, mask: np.ndarray) -> Evidence:
@@ -73,9 +73,9 @@ class Fit:
     cost: float  # robust, in squared sigmas
     roll_sigma_deg: float  # about the direction in which the positions spread most
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
-    error: PlacementError  # about the middle of the positions
-    levels: Sequence[tuple[float, float, int]] = ()  # how large the errors of the positions are (``positionerrors``)
-    bent: tuple[np.ndarray, np.ndarray] | None = None  # of the modes of the shape by images and positions: (M,), (M, M)
+    error: PlacementError  # about the centroid of the positions
+    levels: Sequence[tuple[float, float, int]] = ()  # sizes of the errors of the positions (``positionerrors``)
+    bent: tuple[np.ndarray, np.ndarray] | None = None  # modes of the shape from images and positions: (M,), (M, M)
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -84,10 +84,10 @@ class Fit:
 
 
 def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: Similarity | None = None) -> Fit:
-    """Best similarity from all evidence: robust first, then least squares on what lies within three sigmas.
+    """Best similarity from all evidence: robust first, then least squares on the rows within three sigmas.
 
-    Started from the positions alone and once more turned upright about the track, as a straight track has two minima;
-    or from ``near`` only.
+    Started from the positions alone, and again after turning upright about the track, because a straight track has
+    two minima; or from ``near`` only.
     """
     if near is not None:
         return _refine(evidence, up, near, tuning)[1]
@@ -97,7 +97,7 @@ def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: S
     start = robust_umeyama(spread, evidence.position, loose)[0]
     starts = [start]
     points = evidence.frame < 0
-    if points.sum() >= 3:  # few and good beside many and poor: alone they are the better start
+    if points.sum() >= 3:  # a few accurate points among many poor ones are a better start alone
         starts.append(umeyama(spread[points], evidence.position[points], 1 / evidence.sigma[points, 0] ** 2))
     if up is not None:
         starts += [_turned(start, evidence, up, angle) for angle in (0.0, np.pi)]
@@ -116,7 +116,7 @@ def _turned(start: Similarity, evidence: Evidence, up: Up, extra: float) -> Simi
 
 
 def leaning_deg(evidence: Evidence, similarity: Similarity, up: Up) -> float:
-    """By how much an upward direction leans, or, where it holds the roll alone, is rolled about the track."""
+    """Tilt of an upward direction or, if it determines the roll only, its roll about the track."""
     upward = similarity.rotation @ up.direction
     if up.tilt:
         return float(np.degrees(np.arccos(np.clip(upward[2], -1, 1))))
@@ -132,18 +132,18 @@ def _by_orientation(evidence: Evidence, scale: float) -> Similarity:
 
 
 def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.ndarray]:
-    """Unit direction (3,) in which the positions spread most, in the world, and their middle."""
+    """Unit direction (3,) in which the positions spread most, in the world, and their centroid."""
     world = similarity(evidence.pose[:, :3, 3])
     middle = world.mean(axis=0)
     return np.linalg.svd(world - middle, full_matrices=False)[2][0], middle
 
 
 def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: FitTuning, noise: NoiseTuning) -> Fit:
-    """The fit moved to where its believed positions put it by their errors as these are estimated (white, slow and
-    common: ``positionerrors``) and by what the model may bend, with the covariance that these leave.
+    """The fit after its inlier positions were adjusted with their estimated errors (white, slow and common:
+    ``positionerrors``) and the possible bend of the model, with the resulting covariance.
 
-    This is the one block: what the images tell of the frames is in the modes of the shape, whose coefficients are
-    expected to be nothing but for a sigma of 1."""
+    This is the one block: the modes of the shape represent the images; their coefficients have the prior 0 with sigma
+    1."""
     stated, seen = rows.common, fit.inlier[: len(rows.level)]
     fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
     believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
@@ -156,7 +156,7 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
         errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise, sizes)
         sizes = errors.sizes
         moved, covariance = errors.step(believed)
-        rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # an optimistic receiver is so in all
+        rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # receivers are optimistic in every part
         size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
         alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
         fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
@@ -166,8 +166,8 @@ def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning:
 
 
 def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, seen: np.ndarray) -> Linear:
-    """The positions ``seen`` (K,), and all else in the normal equations; the unknowns of the problem, then the modes of
-    the shape, then what the positions share."""
+    """The positions ``seen`` (K,), and everything else as normal equations; the unknowns of the problem, then the
+    modes of the shape, then the common error of the positions."""
     sigma, count = problem.evidence.sigma, len(seen)
     common = np.flatnonzero(np.isfinite(rows.common) & seen.any())
     derivatives, off = problem.derivatives(x, inlier.astype(float)), problem.positions(x).ravel()
@@ -190,7 +190,8 @@ def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stat
 
 
 class _Problem:
-    """Unknowns: turn (3,) in the world about the middle, shift (3,), log scale, and if asked lever arm (3,), clock."""
+    """Unknowns: rotation (3,) in the world about the middle, shift (3,), log scale, and if requested lever arm (3,),
+    clock offset."""
 
     def __init__(self, evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> None:
         self.evidence, self.up, self.start, self.tuning = evidence, up, start, tuning
@@ -203,7 +204,7 @@ class _Problem:
         self._unpacked: tuple[bytes, tuple[Similarity, np.ndarray]] | None = None
 
     def unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
-        """The similarity and the antenna; kept for the next call, which mostly is about the same unknowns."""
+        """The similarity and the antenna; cached for the next call, which is mostly about the same unknowns."""
         key = x.tobytes()
         if self._unpacked is None or self._unpacked[0] != key:
             self._unpacked = key, self._unpack(x)
@@ -217,7 +218,7 @@ class _Problem:
         return Similarity(float(scale), rotation, middle_world - scale * rotation @ self.middle), antenna
 
     def at(self, fit: Fit) -> np.ndarray:
-        """(D,) the unknowns of a fit that this started from."""
+        """(D,) the unknowns of a fit that started from this problem."""
         x = np.zeros(self.size)
         if self.evidence.arm.estimate:
             x[7:10] = fit.arm.place - self.evidence.arm.place
@@ -239,14 +240,14 @@ class _Problem:
         return self.evidence.position_residuals(similarity, antenna, self.offset(x)) / self.evidence.sigma
 
     def bend(self, x: np.ndarray) -> np.ndarray:
-        """(K, 3, M) of the antenna's places by the modes of the model's shape, metres."""
+        """(K, 3, M) derivatives of the antenna's places by the modes of the model's shape, metres."""
         similarity, bend = self.unpack(x)[0], self.evidence.bend
         turn = similarity.scale * similarity.rotation
         return np.zeros((len(self.evidence.pose), 3, 0)) if bend is None else np.einsum("ij,kjm->kim", turn, bend.modes)
 
     def others(self, x: np.ndarray, with_scale: bool = True) -> np.ndarray:
         similarity, _ = self.unpack(x)
-        parts = [1e-3 * x[:3]]  # keeps the system regular where nothing holds a turn
+        parts = [1e-3 * x[:3]]  # keeps the system regular where a rotation is undetermined
         if len(self.oriented):
             parts.append(self._off(similarity).ravel() / self.orientation_sigma)
         if self.up is not None:
@@ -361,7 +362,7 @@ def _solve(
 
 
 def _sigma(jacobian: np.ndarray, unknown: int) -> float:
-    """Of one unknown by the derivatives (R, U) of residuals in sigmas; infinite where they leave it open."""
+    """Sigma of one unknown from the derivatives (R, U) of residuals in sigmas; infinite if it is undetermined."""
     _, size, directions = np.linalg.svd(jacobian, full_matrices=False)
     told = size > np.finfo(float).eps * max(jacobian.shape) * size[0]
     along = directions[told, unknown]
@@ -381,7 +382,7 @@ def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: 
 def _fit(
     problem: _Problem, x: np.ndarray, covariance: np.ndarray, alone: float, inlier: np.ndarray, cost: float
 ) -> Fit:
-    """What is told at unknowns (D,) with this covariance; ``alone``: variance of the log scale by the positions."""
+    """The fit at unknowns (D,) with this covariance; ``alone``: variance of the log scale from the positions."""
     similarity, antenna = problem.unpack(x)
     sd = np.sqrt(np.clip(np.diag(covariance), 0, None))
     arm, clock = problem.evidence.arm.estimate, problem.evidence.estimate_offset

@@ -1,4 +1,4 @@
-"""Measured positions of the antenna, each tied to the poses of the frames about its time."""
+"""Measured positions of the antenna, each connected to the poses of the frames around its time."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class PositionRows:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Known beyond the scene: the receiver's rows, control points, scale bars; how well a model knows itself."""
+    """Measurements beside the scene: the receiver's rows, control points, scale bars; sigmas of the model itself."""
 
     rows: PositionRows | None = None
     control: Control | None = None
-    shape: Shape | None = None  # by how much its images may bend it
-    model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = its adjustment holds none
-    firm_frames: float = float("inf")  # of a model that rest on enough points
+    shape: Shape | None = None  # how far the model may be bent, given its images
+    model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = undetermined
+    firm_frames: float = float("inf")  # frames of a model with enough points
     bars: ScaleBars | None = None
 
 
@@ -41,8 +41,8 @@ class Fixes:
     """K positions. The antenna at a fix is the weighted sum of its places at up to four frames.
 
     frames (K, 4) scene frames (repeated where fewer), weights and rates (K, 4): rates are the weights' derivatives by
-    time, 1/s; home (K,) the nearest frame; position, sigma as it is believed and as it was stated (K, 3) metres; level
-    (K,) i4: fixes of one number share one factor of their sigma; held (K,) bool kept back for the check.
+    time, 1/s; home (K,) the nearest frame; position (K, 3), sigma as used and as stated (K, 3) metres; level (K,) i4:
+    fixes of one level share one factor of their sigma; held (K,) bool held out for the check.
     """
 
     frames: np.ndarray
@@ -68,16 +68,16 @@ class Fixes:
         return replace(self, sigma=np.hypot(self.sigma, extra_m)) if np.any(extra_m) else self
 
     def stretched(self, factor: np.ndarray) -> Fixes:
-        """The same with sigmas times a factor (K,)."""
+        """The same with sigmas multiplied by a factor (K,)."""
         return replace(self, sigma=self.sigma * factor[:, None])
 
     def widened(self, poses: np.ndarray, metres_per_unit: float, tuning: FixTuning) -> Fixes:
-        """The same with what interpolation may be wrong by added to the sigmas, from frame poses (F, 4, 4).
+        """The same with the error of interpolation, from frame poses (F, 4, 4), added to the sigmas.
 
         A cubic between evenly spaced frames errs by 0.023 of the fourth difference, which a sharp turn makes as large
         as the third; a parabola at the ends of a pass by 0.06 of the third, which may be as large as the second.
         """
-        share = {3: tuning.cubic_error, 2: tuning.parabola_error}  # of the difference of an order
+        share = {3: tuning.cubic_error, 2: tuning.parabola_error}  # of the difference of this order
         error = np.zeros(len(self))
         for k in np.flatnonzero(np.abs(self.weights).max(axis=1) < 1 - 1e-6):
             at = poses[list(dict.fromkeys(self.frames[k].tolist())), :3, 3]
@@ -88,7 +88,7 @@ class Fixes:
     def blend(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 4, 4) weighted sums of frame poses (F, 4, 4) and their derivatives by time (K, 4, 4).
 
-        Not rigid between frames: the sums of rotations are what carries a lever arm along with the positions.
+        Not rigid between frames: the sums of rotations carry a lever arm along with the positions.
         """
         there = np.nan_to_num(poses)[self.frames]
         moved = np.einsum("kn,knij->kij", self.weights, there)
@@ -96,7 +96,7 @@ class Fixes:
 
 
 def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, tuning: FixTuning) -> Fixes:
-    """Fixes of the receiver's rows, or of the scene's prior positions where there are none with times.
+    """Fixes from the receiver's rows, or from the scene's prior positions where no row has a time.
 
     ``registered`` (F,) frames with a pose.
     """
@@ -107,7 +107,7 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, tuning
             if part is not None:
                 parts.append(part)
                 left &= scene.sequence != track
-    fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
+    fixes = _joined([*parts, _of_frames(scene, left)])  # nothing is interpolated between loose photographs
     stated = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
     level = np.round(tuning.levels_per_octave * np.log2(np.maximum(stated[:, 0], 1e-3))).astype(int)
     sigma = np.maximum(stated, tuning.floor_m)
@@ -160,7 +160,7 @@ def _thinned(left: np.ndarray, at_frame: np.ndarray, most: int) -> np.ndarray:
 
 
 def _nodes(time: np.ndarray, left: int, t: float, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Four places in ``time``, their Lagrange weights at t and the weights' derivatives."""
+    """Four frames as indices into ``time``, their Lagrange weights at t and the weights' derivatives."""
     first, last = left, left + 1
     if left > 0 and time[left] - time[left - 1] <= reach:
         first -= 1

@@ -1,4 +1,4 @@
-"""Where the model is in the world: a robust similarity to prior positions, with lever arm, rig scale and gravity."""
+"""Georeferencing of a model: a robust similarity to prior positions, with lever arm, rig scale and gravity."""
 
 from dataclasses import dataclass, field
 
@@ -33,14 +33,14 @@ _AXES = ("east", "north", "up")
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Every fifth fix, of frames and between them, as the last fit that did not know it meets it; no outliers of the
-    full fit."""
+    """The held-out fixes (every fifth), of frames and between them, and their residuals in the last fit without them;
+    without outliers of the full fit."""
 
     residual_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3)
-    sigma_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3) as they are stated
+    sigma_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3) as stated
 
     def to_dict(self) -> dict:
-        """JSON-ready: how many, root mean square per axis, and of the sigmas together, metres."""
+        """JSON-ready: number, root mean square per axis, and of the sigmas together, metres."""
         sigma = rms_length(self.sigma_m) if len(self.sigma_m) else None
         return {"count": len(self.residual_m), "rms_m": _rms_by_axis(self.residual_m), "sigma_m": sigma}
 
@@ -50,23 +50,23 @@ class Residuals:
     """Model minus measured positions: east, north, up, metres. Columns (F, ...) follow the scene's frames."""
 
     frames_m: np.ndarray  # (F, 3); NaN = no prior or not in the model
-    inlier: np.ndarray  # (F,) positions the fit believes
-    held_out_m: np.ndarray  # (F, 3) of every fifth position, from a fit that did not know it; NaN = others
-    fixes_m: np.ndarray  # (K, 3) of all fixes of the placing
+    inlier: np.ndarray  # (F,) positions used in the fit
+    held_out_m: np.ndarray  # (F, 3) of every fifth position, from a fit without it; NaN = others
+    fixes_m: np.ndarray  # (K, 3) of all fixes
     held: HeldOut
 
     def rms_m(self) -> dict[str, float]:
-        """Root mean square of the believed residuals per axis, metres."""
+        """Root mean square of the residuals of the inliers per axis, metres."""
         return _rms_by_axis(self.frames_m[self.inlier])
 
     def held_out_rms_m(self) -> dict[str, float]:
-        """The same of the fixes held back."""
+        """The same for the held-out fixes."""
         return _rms_by_axis(self.held.residual_m)
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well a placement is known."""
+    """The accuracy of a georeference."""
 
     sigma: dict[str, float] = field(default_factory=dict)  # position_m, height_m, yaw_deg, tilt_deg, scale; {} = none
     error: PlacementError | None = None
@@ -75,7 +75,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class AppliedReceiver:
-    """What of the receiver's mounting and clock was taken into account."""
+    """The receiver's lever arm and clock offset that were used."""
 
     antenna_m: tuple[float, float, float] | None = None  # lever arm, rig frame
     offset_s: float = 0.0  # its clock behind the cameras'
@@ -93,7 +93,7 @@ class PointsFound:
 
 @dataclass(frozen=True)
 class Findings:
-    """What is said of a placement: in words, by each source, and where they contradict each other."""
+    """The remarks on a georeference: notes, statements of each source, and their contradictions."""
 
     notes: tuple[str, ...]
     statements: tuple[Statement, ...] = ()
@@ -102,7 +102,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Georeference:
-    """The similarity from a model to the world, and how far to trust it."""
+    """The similarity from a model to the world, and its accuracy."""
 
     world_from_model: Similarity
     scale_source: str  # gnss, exif, trajectory, rig baseline, none
@@ -117,7 +117,7 @@ class Georeference:
 
     @property
     def placed(self) -> bool:
-        """Whether positions put the model into the world."""
+        """Whether positions place the model in the world."""
         return bool(self.uncertainty.sigma)
 
     def counts(self) -> dict[str, float]:
@@ -189,12 +189,13 @@ def georeference(
     tuning: WorldTuning,
     given: Measurements | None = None,
 ) -> Georeference:
-    """Place a model by positions and control points; without three of them, level it by its cameras.
+    """Place a model by positions and control points; with fewer than three, level it by its cameras.
 
-    Robust least squares over rotation, translation, scale, lever arm and clock from: positions weighted by their sigmas
-    (stretched to what their residuals say) with the antenna's lever arm turned by the model's own orientations; control
-    points where their marks' rays meet; prior orientations; the rig's baselines where they are known and long enough;
-    the cameras' upward direction where the positions leave the roll about a straight track open.
+    Robust least squares over rotation, translation, scale, lever arm and clock offset from: positions weighted by
+    their sigmas (scaled to their residuals), with the antenna's lever arm rotated by the model's own orientations;
+    control points where the rays of their marks intersect; prior orientations; the rig's baselines where they are
+    known and long enough; the cameras' upward direction where the positions do not determine the roll about a
+    straight track.
     """
     given = given or Measurements()
     images = image_poses(model, scene)
@@ -241,7 +242,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
 
 
 def residuals_of(placing: SimilarityFit, scene: Scene, blind: np.ndarray | None) -> Residuals:
-    """The residuals of a placement; ``blind`` (K, 3) those of the fit that did not know the fixes held out."""
+    """The residuals of a georeference; ``blind`` (K, 3): those of the fit without the held-out fixes."""
     fixes, fit, here = placing.fixes, placing.fit, placing.residuals()
     at = row_of_frames(fixes, scene.frames)
     has = np.flatnonzero(at >= 0)
@@ -258,7 +259,7 @@ def residuals_of(placing: SimilarityFit, scene: Scene, blind: np.ndarray | None)
 
 
 def applied_receiver(antenna: np.ndarray, offset_s: float) -> AppliedReceiver:
-    """Lever arm (3,) and clock of a placement; a lever arm of nothing is none."""
+    """Lever arm (3,) and clock offset of a georeference; a lever arm of zero counts as none."""
     x, y, z = antenna.tolist()
     return AppliedReceiver((x, y, z) if antenna.any() else None, offset_s)
 
@@ -274,7 +275,7 @@ def row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:
 
 
 def _points(view: Model, given: Measurements, fit: Fit) -> tuple[list[dict], dict, list[str]]:
-    """Table of control and check points, their accuracy, and what could not be used, with file and line."""
+    """Table of control and check points, their accuracy, and points that could not be used, with file and line."""
     control = given.control
     if control is None:
         return [], {}, []
@@ -306,23 +307,24 @@ def _remarks(placing: SimilarityFit, scene: Scene) -> list[str]:
     for sigma_m, factor, count in placing.fit.levels:
         if told < factor <= most and count >= tuning.noise.min_rows:
             notes.append(
-                f"positions of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much: believed accordingly"
+                f"positions of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much: their sigma was "
+                "increased accordingly"
             )
     if fit.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
         known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")
         notes.append(f"the roll about the track is {known}")
     if scene.origin is None and not len(placing.points):
-        notes.append("the positions are not on the Earth: the world is the trajectory's own frame")
+        notes.append("the positions are not geographic: the world is the trajectory's own frame")
     notes += _passes_without(placing, scene)
     return notes
 
 
 def _passes_without(placing: SimilarityFit, scene: Scene) -> list[str]:
-    """Passes none of whose frames has a position: they hang on the others through the images alone."""
+    """Passes without any position: only the images tie them to the others."""
     if not len(placing.fixes) or len(scene.sequences) < 2:
         return []
     lost = [name for k, name in enumerate(scene.sequences) if not np.any(scene.sequence[placing.fixes.home] == k)]
-    return [f"pass {name!r} has no position: its place rests on its ties to the others" for name in lost]
+    return [f"pass {name!r} has no position: only its ties to the other passes place it" for name in lost]
 
 
 def bar_rows(bars: BarsFound | None, metres_per_unit: float) -> tuple[dict, ...]:
@@ -331,21 +333,21 @@ def bar_rows(bars: BarsFound | None, metres_per_unit: float) -> tuple[dict, ...]
 
 
 def _levelled(scene: Scene, view: Model, placing: NotPlaced, shape: Shape | None) -> Georeference:
-    """No placement: turned so that up is up, scaled by scale bars or the rig where that can be trusted."""
+    """Without positions: the model turned upright, scaled by scale bars or the rig where these are reliable."""
     up, scale, bars = view.up, view.scale, view.bars
     notes = [] if placing.contradicts else [f"not georeferenced: {placing.why}"]
     rotation, factor, source = np.eye(3), 1.0, "none"
     if up is not None:
         rotation = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up.direction])[0].as_matrix()
-        notes.append(f"levelled by the upward direction of {up.cameras}, to about {up.sigma_deg:.0f} deg")
+        notes.append(f"levelled by the upward direction of {up.cameras}, with a sigma of about {up.sigma_deg:.0f} deg")
     if scale is not None and scale.trusted:
         factor, source = scale.metres_per_unit, scale.name
         by = "the rig's baselines" if scale.source == RIG else f"the {scale.source}"
         notes.append(f"metric by {by} (scale good to {scale.sigma:.{1 if scale.source == RIG else 3}%})")
     elif scale is not None:
-        notes.append(f"no scale taken from the rig: {scale.why_not}")
+        notes.append(f"the rig gives no scale: {scale.why_not}")
     else:
-        notes.append("nothing fixes the scale: lengths are in units of the model")
+        notes.append("the scale is unknown: lengths are in model units")
     empty = np.full((scene.frames, 3), np.nan)
     here = Similarity(factor, rotation, np.zeros(3))
     said = [*rig_statement(scale, here, True), *rig_statement(view.rig, here, False), *up_statements(up, here, True)]

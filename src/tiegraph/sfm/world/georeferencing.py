@@ -1,6 +1,7 @@
-"""From a model to the world: the similarity, then the adjustment with positions where it stands its check.
+"""From a model to the world: the similarity, then the adjustment with positions if it passes its check.
 
-The model is bent to where its images, positions and control points have it together: they against drift and bending."""
+The model is bent so that its images, positions and control points fit best together, which corrects drift and
+bending."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -35,14 +36,14 @@ from tiegraph.sfm.world.oneworld import OneWorld, one_world
 from tiegraph.sfm.world.placed import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
 
-_REFUSED = "the similarity stays, a bundle adjustment with the positions was refused: {}"
-_FIRM = 1e-6  # of the extent of the frames: a place held by less than that is no sum of squares that can be solved
+_REFUSED = "the similarity is kept, because the bundle adjustment with the positions failed: {}"
+_FIRM = 1e-6  # of the extent of the frames: places with a smaller sigma give no solvable sum of squares
 
 
 @dataclass(frozen=True)
 class ConstantParameters:
-    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras;
-    ``soft``: indices in the scene of rigs whose extrinsics are known with a sigma."""
+    """Parameters that an adjustment must not change: COLMAP ids of rigs with calibrated extrinsics, and of calibrated
+    cameras; ``soft``: scene indices of rigs whose extrinsics are known with a sigma."""
 
     rigs: Collection[int] = ()
     cameras: Collection[int] = ()
@@ -57,7 +58,8 @@ def georeference_model(
     given: Measurements | None = None,
     held: ConstantParameters | None = None,
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
-    """The georeference of a model, judged (``statements.py``), and the model in the world; see ``_georeferenced``."""
+    """The georeference of a model with its statements (``statements.py``), and the model in the world; see
+    ``_georeferenced``."""
     given, held = given or Measurements(), held or ConstantParameters()
     found, world = _georeferenced(model, scene, settings, tuning, given, held)
     points = _points(world, scene, given, tuning.world) if given.control is not None else []
@@ -74,9 +76,9 @@ def _georeferenced(
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference of a model and the model in the world.
 
-    First similarity and shape in one block (``georeference``). Then a bundle adjustment brings the frames to where the
-    block has them, if they move at all; it is kept only if positions that the block did not know (every fifth) are met
-    at least as well as with the similarity, and the images no worse. What was decided, and why, is in the notes.
+    First similarity and shape in one block (``georeference``). Then, if the frames move at all, a bundle adjustment
+    moves them to the result of the block. It is kept only if the held-out positions (every fifth) fit at least as
+    well as with the similarity, and the images no worse. The notes give the decision and its reason.
     """
     first = georeference(model, scene, settings, tuning.world, given)
     if first.placing is not None and given.shape is None and settings.adjust != "no":
@@ -86,7 +88,7 @@ def _georeferenced(
     if placing is None or settings.adjust == "no":
         return first, world
     if shape is None:
-        why = f"how far it may be bent is not known (few points, or more than {MOST_FRAMES} frames)"
+        why = f"the accuracy of its shape is unknown (few points, or more than {MOST_FRAMES} frames)"
         return _with(first, _REFUSED.format(why)), world
     good, why, blind = _check(placing)
     if not good and settings.adjust == "auto":
@@ -95,11 +97,11 @@ def _georeferenced(
     before, after = (m.compute_mean_reprojection_error() for m in (world, bent))
     lost = bent.num_points3D() < world.num_points3D() / 2
     if lost or (after > tuning.world.adjustment.worse_pixels * before and settings.adjust == "auto"):
-        text = f"the images fit worse with it ({before:.3f} -> {after:.3f} px"
+        text = f"the images fit worse after it ({before:.3f} -> {after:.3f} px"
         text += f", {bent.num_points3D()} of {world.num_points3D()} points left)" if lost else ")"
         return _with(first, _REFUSED.format(text)), world
     step = np.linalg.norm(_frames(bent, scene)[:, :3, 3] - _frames(world, scene)[:, :3, 3], axis=1)
-    notes = ["the model keeps the shape that its images give it: positions and points would hardly change it"]
+    notes = ["the model keeps its shape from the images: positions and control points would hardly change it"]
     if placed is not placing:
         notes = [
             f"adjusted with the positions: frames moved by {np.nanmedian(step):.3f} m (at most {np.nanmax(step):.3f} m)"
@@ -128,10 +130,11 @@ def _bent(
     how: tuple[ConstantParameters, bool],
     tuning: Tuning,
 ) -> tuple[SimilarityFit, pycolmap.Reconstruction]:
-    """The fit to the model once it has the shape that its images and all else have together, and that model in the
-    world. ``how``: what is held, and whether it is adjusted even where that changes little.
+    """The fit to the model after it was bent to the shape that its images and all other evidence give together, and
+    that model in the world. ``how``: what is held, and whether to adjust even if that changes little.
 
-    The bend is linear in these, and control points are taken to move with the frames that see them: so once more.
+    The bend is linear in the unknowns, and control points are assumed to move with the frames that see them; hence
+    the rounds.
     """
     held, always = how
     placed, bent, start = placing, world, _frames(world, scene)[:, :3, 3]
@@ -152,8 +155,8 @@ def _bent(
 
 
 def _shape(model: pycolmap.Reconstruction, scene: Scene, held: ConstantParameters, tuning: Tuning) -> Shape | None:
-    """By how much its images may bend a model of which that is not known yet; None where its points do not tell, and of
-    models too large for it."""
+    """How far a model may be bent, given its images, where that is not known yet; None where its points do not
+    determine it, and for models that are too large."""
     if model.num_reg_frames() > MOST_FRAMES:
         return None
     free, rigs = free_cameras(model, tuning.adjust) - set(held.cameras), set(model.rigs) - set(held.rigs)
@@ -166,7 +169,7 @@ def _shape(model: pycolmap.Reconstruction, scene: Scene, held: ConstantParameter
 
 @dataclass(frozen=True)
 class GeorefRequest:
-    """What a child process needs to bring the models on disk into one world; picklable."""
+    """The input of a child process that brings the models on disk into one world; picklable."""
 
     folders: tuple[Path, ...]  # the first is the largest
     target: Path
@@ -180,7 +183,7 @@ class GeorefRequest:
 
 
 def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) -> OneWorld:
-    """The models of ``folders`` in one world, as one model in ``target``; of that model, nothing is returned."""
+    """The models of ``folders`` in one world, as one model in ``target``; the model itself is not returned."""
     scene, settings, tuning, held = Scene.from_json(request.scene), request.settings, request.tuning, request.constant
     models = [read_model(folder) for folder in request.folders]
     given, unfit = as_marked(models[0], scene, request.measurements, tuning.world)
@@ -201,8 +204,8 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
 def as_marked(
     model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """The same with the marks of control points in the images of the survey, if they were made in copies of these;
-    without control points whose marks are as good as random ones, and what is to be said of that."""
+    """The measurements with the marks of control points converted to the images of the survey, if they were made in
+    copies of these; without control points whose marks fit no better than random ones, and a note on that."""
     control, bars = given.control, given.bars
     if control is None:
         return given, ()
@@ -212,9 +215,9 @@ def as_marked(
     control = replace(control, marks=marks, notes=notes)
     chance = by_chance(targets(model, scene, marks, len(control), tuning.marks), tuning.marks)
     if chance > CHANCE:
-        text = f"no control point is used: the rays of marks set at random meet as well (chance {chance:.2g})"
+        text = f"no control point is used: randomly placed marks would fit as well (probability {chance:.2g})"
         return replace(given, control=None, bars=bars), (
-            f"{text}: pixels of other images, or images that were cropped?",
+            f"{text}; are they pixels of other images, or were the images cropped?",
         )
     return replace(given, control=control, bars=bars), ()
 
@@ -231,17 +234,20 @@ def _points(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, t
 
 
 def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
-    """Whether what the others tell of the model's shape meets the positions held out at least as well as the similarity
-    does, why, and how it meets them, (K, 3) metres."""
+    """Whether the held-out positions fit the bent model at least as well as the similarity, why, and their residuals
+    (K, 3) metres."""
     fixes, bounds = placing.fixes, placing.tuning.adjustment
     plain, bends = placing.held_out(bends=False), placing.held_out(bends=True)
     if plain is None or bends is None or fixes.held.sum() < bounds.min_held:
         if len(placing.points) and not len(fixes):
-            return True, "control points only: nothing was held out", None
-        return False, "too few positions to hold some back as a check", None
+            return True, "there are only control points, and none was held out", None
+        return False, "there are too few positions to hold some out as a check", None
     sigma = placing.evidence.sigma[: len(fixes)][fixes.held]
     a, b = (_score(off[fixes.held] / sigma, bounds.clip_sigmas) for off in (plain, bends))
-    text = f"{fixes.held.sum()} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
+    text = (
+        f"{fixes.held.sum()} held-out positions differ by {b:.2f} of their sigmas (RMS), with the similarity alone by "
+        f"{a:.2f}"
+    )
     return b <= bounds.not_worse * a, text, bends
 
 
@@ -276,8 +282,8 @@ def bent_by(
     held: ConstantParameters,
     tuning: Tuning,
 ) -> pycolmap.Reconstruction:
-    """A copy of a model whose frames of the scene have moved by ``steps`` (F, 3) and sigmas (F, 3) of these, in the
-    world, and all else has followed them as the images have it."""
+    """A copy of a model whose frames were moved in the world by ``steps`` (F, 3), with sigmas (F, 3); everything else
+    follows as the images determine it."""
     step, sigma = steps[0], np.maximum(steps[1], _FIRM * _extent(world))
     places: dict[int, PlacePrior] = {}
     for index, name in enumerate(scene.names):
@@ -300,7 +306,7 @@ def _extent(model: pycolmap.Reconstruction) -> float:
 
 
 def similarity_to(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction, first: Similarity) -> Similarity:
-    """The similarity from the model as mapped to the world that comes closest to the adjusted one."""
+    """The similarity from the model as mapped to the world that is closest to the adjusted one."""
     names = [i for i in before.reg_image_ids() if i in after.images and after.image(i).has_pose]
     a = np.array([before.image(i).projection_center() for i in names])
     b = np.array([after.image(i).projection_center() for i in names])

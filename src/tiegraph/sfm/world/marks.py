@@ -1,4 +1,5 @@
-"""Marked points in the model: where their rays meet, how well, and what is left in the images and in the world."""
+"""Marked points in the model: the intersections of their rays, their accuracy, and residuals in the images and the
+world."""
 
 from __future__ import annotations
 
@@ -21,10 +22,10 @@ from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import MarkTuning
 
-_SMALLEST, _STEP = 0.1, 0.01  # copies of images that are tried: size, and from one to the next
+_SMALLEST, _STEP = 0.1, 0.01  # sizes of image copies that are tried: smallest, and step
 _UNSURE = (
-    "all marks lie in the upper left quarter of their images, and the rays of these parallel views cannot tell whether "
-    "they were made in images half as large: see for yourself, heights depend on it"
+    "all marks are in the upper left quarter of their images, and the rays of these parallel views do not show "
+    "whether the marks were made in images of half the size: check this, because heights depend on it"
 )
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 
@@ -32,8 +33,8 @@ _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensiona
 @dataclass(frozen=True)
 class Target:
     """A marked point in a model: its place (3,), formal covariance (3, 3), model units; rows of its marks; residuals
-    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can; ``blunder``: the others contradict it;
-    ``chance``: that so many of its marks meet so well if all are set at random, at most."""
+    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can; ``blunder``: it contradicts the others;
+    ``chance``: upper bound of the probability that as many randomly placed marks would intersect as well."""
 
     place: np.ndarray
     covariance: np.ndarray
@@ -45,8 +46,8 @@ class Target:
 
 
 def by_chance(found: Sequence[Target], tuning: MarkTuning) -> float:
-    """The chance that marks set at random meet as well as those of points (Fisher's method); 0 for so few points that
-    they place nothing by themselves."""
+    """The probability that randomly placed marks would fit as well as those of these points (Fisher's method); 0 if
+    the points are too few to place a model."""
     told = [t.chance for t in found if len(t.marks) > 1]
     enough = len(told) >= tuning.min_for_copy
     return float(chdtrc(2 * len(told), -2 * np.log(np.maximum(told, 1e-300)).sum())) if enough else 0.0
@@ -55,8 +56,8 @@ def by_chance(found: Sequence[Target], tuning: MarkTuning) -> float:
 def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: int, tuning: MarkTuning) -> list[Target]:
     """The ``count`` points of some marks in the model, in their order.
 
-    A mark farther than 20 px from where the others put the point is left out where two or more remain, and the point
-    with it where more than a third goes and what is left may meet by chance.
+    A mark farther than 20 px from where the others put the point is left out if two or more remain. The point is left
+    out too if more than a third of its marks are, and the rest may intersect by chance.
     """
     return [_target(seen, rows, tuning) for seen, rows in _rays(model, scene, marks, range(count), tuning)]
 
@@ -64,7 +65,7 @@ def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: i
 def _rays(
     model: pycolmap.Reconstruction, scene: Scene, marks: Marks, points: Sequence[int], tuning: MarkTuning
 ) -> Iterator[tuple[list[_Ray], np.ndarray]]:
-    """Of points one after another, the rays of their marks in images with poses, and the rows of these."""
+    """For one point after another, the rays of its marks in images with poses, and the rows of these marks."""
     views = {k: v for k in np.unique(marks.image) if (v := _view(model, scene.names[k])) is not None}
     sigma = mark_sigma(marks, tuning)
     for point in points:
@@ -73,17 +74,20 @@ def _rays(
 
 
 def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: MarkTuning) -> tuple[Copy, str]:
-    """The copy of the images that a file's marks were made in, with a note if that is not these images themselves.
+    """The copy of the images in which a file's marks were made, with a note if that is not the survey's images.
 
-    Rays tell: another copy is believed where they meet better than chance would have it (``fits_better``) than in any
-    but its like. Pixels of the copy count, for in a flight with parallel views rays meet at any size, only closer in
-    larger copies.
+    The rays decide: another copy is used if they intersect in it better than chance allows (``fits_better``) compared
+    with all dissimilar copies. Errors are measured in pixels of the copy, because in a flight with parallel views
+    rays meet at any size, only closer in larger copies.
     """
     if marks.file_px is None or marks.orientation is None:
         return AS_IS, ""
     own = marks.where(np.flatnonzero(np.isfinite(marks.file_px).all(axis=1)))
     outside = len(own) - len(as_copy(own, scene, AS_IS, tuning))
-    said = f"{outside} marks lie outside their images and are left out: in no copy of these do their rays meet"
+    said = (
+        f"{outside} marks are outside their images and are left out: in no reduced or turned copy of the images do "
+        "their rays meet"
+    )
     often = np.argsort(-np.bincount(own.point), kind="stable")[: tuning.points_for_copy]
     own = own.where(np.isin(own.point, often))
     if _miss_px(model, scene, own, AS_IS, tuning) <= tuning.soft_px:
@@ -105,13 +109,13 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     fine_px = [_miss_px(model, scene, own, copy, tuning) for copy in near]
     found = near[int(np.argmin(fine_px))]
     return found, (
-        f"the marks were made in images {found}: so taken, they are {min(fine_px):.1f} px off on average, as the file "
-        f"has them {miss_px[0]:.1f} px (of {tuning.max_mark_px:g} that count at most)"
+        f"the marks were made in images {found}: scaled to these, their mean error is {min(fine_px):.1f} px instead "
+        f"of {miss_px[0]:.1f} px (errors above {tuning.max_mark_px:g} px count as that)"
     )
 
 
 def _miss_px(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, copy: Copy, tuning: MarkTuning) -> float:
-    """What marks in a copy are off from where the rays of their points meet, on average, ``max_mark_px`` at most."""
+    """Mean distance of marks in a copy from the intersections of their points' rays, ``max_mark_px`` at most."""
     inside = as_copy(marks, scene, copy, tuning)
     off, points = [np.full(len(marks) - len(inside), tuning.max_mark_px)], np.unique(marks.point).tolist()
     for seen, _ in _rays(model, scene, inside, points, tuning):
@@ -122,7 +126,8 @@ def _miss_px(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, copy: C
 
 
 def as_copy(marks: Marks, scene: Scene, copy: Copy, tuning: MarkTuning) -> Marks:
-    """The marks of a file as made in a copy of the images, beside those found; without those that then lie outside."""
+    """The marks of a file interpreted in a copy of the images, with the marks found there; without marks outside the
+    images."""
     if marks.file_px is None or marks.orientation is None:
         return marks
     xy, sigma = marks.xy_px.copy(), marks.sigma_px.copy()
@@ -152,9 +157,9 @@ class _Ray:
 
 
 def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) -> list[Target]:
-    """The points with those marked that the other control points contradict: five at least, of which the others agree.
+    """The points, with blunders marked: at least five control points are needed, of which the others must agree.
 
-    One after the other, as long as leaving one out brings the rest to agree three times as well; at most a third.
+    One after the other, as long as leaving a point out makes the rest agree three times as well; at most a third.
     """
     out = list(found)
     use = [k for k, t in enumerate(out) if not t.why_not and not control.check[k]]
@@ -171,7 +176,7 @@ def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) 
         _, fit = _agreement(out, control, use)
         off = np.linalg.norm(fit(np.array([out[k].place for k in (bad, *use)])) - control.world_m[[bad, *use]], axis=1)
         within = float(np.sqrt(np.mean(off[1:] ** 2)))
-        text = f"its survey and the model differ by {off[0]:.2f} m, where {len(use)} others agree within {within:.2f} m"
+        text = f"survey and model differ by {off[0]:.2f} m there, while {len(use)} others agree within {within:.2f} m"
         out[bad] = replace(out[bad], why_not=text, blunder=True)
     return out
 
@@ -182,7 +187,7 @@ def marked(found: list[Target], rows: Sequence[dict]) -> list[Target]:
 
 
 def _agreement(found: list[Target], control: Control, use: list[int]) -> tuple[float, Similarity]:
-    """How many of their sigmas points differ by from a similarity to the survey (root mean square), and that."""
+    """RMS difference between points and survey after a similarity, in sigmas, and the similarity."""
     place = np.array([found[k].place for k in use])
     fit = umeyama(place, control.world_m[use])
     spread = np.array([np.trace(found[k].covariance) / 3 for k in use]) * fit.scale**2
@@ -198,7 +203,7 @@ def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] |
 
 
 def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning, of: int = 0) -> Target:
-    """The point of some marks, which are left of ``of`` (0: they are all)."""
+    """The point of some marks, left over of ``of`` marks (0: they are all)."""
     of = of or len(rows)
     nowhere = Target(
         place=np.full(3, np.nan),
@@ -207,7 +212,7 @@ def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning, of: int = 0)
         residual_px=np.full((len(rows), 2), np.nan),
     )
     if len(rows) < 2:
-        return replace(nowhere, why_not=f"{len(rows)} marks in registered images, 2 are needed")
+        return replace(nowhere, why_not=f"it has {len(rows)} marks in registered images; 2 are needed")
     solution = _meet(seen, tuning)
     residual = solution.fun.reshape(-1, 2) * np.array([[s.sigma_px] for s in seen])
     off = np.linalg.norm(residual, axis=1)
@@ -220,25 +225,27 @@ def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning, of: int = 0)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
     if angle < tuning.min_angle_deg:
-        return replace(found, why_not=f"its rays meet at {angle:.1f} deg only")
+        return replace(found, why_not=f"its rays meet at an angle of only {angle:.1f} deg")
     if np.median(off) > tuning.max_mark_px:
         return replace(found, why_not=f"its rays miss each other by {np.median(off):.0f} px")
     wrong = of - len(rows)
     if wrong * tuning.refused_of > of and chance > CHANCE:
-        text = f"{wrong} of its {of} marks miss the others, whose rays may meet by chance ({chance:.2g})"
+        text = (
+            f"{wrong} of its {of} marks contradict the others, whose rays may meet by chance (probability {chance:.2g})"
+        )
         return replace(found, why_not=text)
     return replace(found, covariance=np.linalg.pinv(solution.jac.T @ solution.jac))
 
 
 def _chance(seen: list[_Ray], off_px: float, of: int) -> float:
-    """At most, that so many of ``of`` marks set at random lie within ``off_px`` of one place in space: each beside the
-    first three coordinates within a band of twice that to either side."""
+    """Upper bound of the probability that as many of ``of`` randomly placed marks lie within ``off_px`` of one point
+    in space: each mark beyond the first three coordinates within a band of twice that width."""
     side = min(min(s.camera.width, s.camera.height) for s in seen)
     return min(1.0, float(comb(of, len(seen))) * (4 * off_px / side) ** (2 * len(seen) - 3))
 
 
 def _meet(rays: list[_Ray], tuning: MarkTuning) -> Any:
-    """Least squares over pixels in sigmas of the marks, from the linear meeting point of the rays."""
+    """Least squares over pixels in sigmas of the marks, starting from the linear intersection of the rays."""
     scale = tuning.soft_px / tuning.mark_sigma_px
     return scipy.optimize.least_squares(
         lambda x: _off_sigmas(rays, x), _nearest(rays), loss="soft_l1", f_scale=scale, x_scale="jac"
@@ -257,7 +264,7 @@ def _nearest(rays: list[_Ray]) -> np.ndarray:
 
 
 def _off_sigmas(rays: list[_Ray], x: np.ndarray) -> np.ndarray:
-    """(2 M,) a point (3,) in the images minus its marks, in sigmas of these."""
+    """(2 M,) projections of a point (3,) minus its marks, in sigmas of these."""
     parts = []
     for one in rays:
         there = one.pose[:3, :3] @ x + one.pose[:3, 3]
@@ -272,8 +279,8 @@ def point_table(
 ) -> tuple[list[dict], dict]:
     """Per point dE, dN, dU (model minus survey, metres) and pixels; RMSE, CE90 and LE90 of control and check points.
 
-    ``off_m`` (P, 3), NaN = not in the model. CE90 and LE90 are those of a normal error of this RMSE (2.146, 1.645
-    times), with the points' own number said beside them. Points that are not used are in the rows only.
+    ``off_m`` (P, 3), NaN = not in the model. CE90 and LE90 assume a normal error of this RMSE (2.146, 1.645 times);
+    the number of points is given beside them. Points that are not used are in the rows only.
     """
     rows = []
     refused = np.array([bool(t.why_not) for t in found], bool)

@@ -1,11 +1,12 @@
-"""All models of a survey in one world: parts that no tie joined for the mapper.
+"""All models of a survey in one world, including those that no tie joined for the mapper.
 
-The largest model that positions or control points place carries the world; without one the largest. What tells where a
-further model stands is tried in the order of trust. *Matches* between its images and those already in the world
-(``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond doubt. Else its
-own *positions* and control points (``georeferencing``). A model that neither tells, or whose turn about a straight
-track is open, is named with the reason and stays out: nothing is guessed. (Points laid on those of the others by ICP
-placed no model of any survey.) What matches and positions tell is compared, and said where they cannot both be right.
+The largest model that positions or control points place defines the world; without one, the largest model. For a
+further model, two sources are tried in the order of reliability. First the *matches* between its images and those
+already in the world (``ties``): they need no positions, and a similarity confirmed by held-out matches is beyond
+doubt. Then its own *positions* and control points (``georeferencing``). A model that neither places, or whose
+rotation about a straight track is undetermined, is named with the reason and stays out: nothing is guessed. (ICP
+between the points of models placed no model of any survey.) If matches and positions contradict each other, a
+contradiction says so.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +39,7 @@ class Joined:
     """How a further model came into the world, or why it did not.
 
     ``by``: matches, positions, or "". ``test``: of its matches, lengths in metres of the world, where there were any;
-    ``off``: metres and degrees between what matches and positions say; ``sigma_m``: of its place by positions.
+    ``off``: metres and degrees between matches and positions; ``sigma_m``: sigma of its place from positions.
     """
 
     number: int
@@ -56,24 +57,27 @@ class Joined:
         return [f"sparse/{self.number}", self.images, self.by, *told, *off, _rounded(self.sigma_m), self.why_not]
 
     def note(self, metric: bool) -> str:
-        """A sentence for people."""
+        """A sentence for the notes."""
         name = f"model {self.number} ({self.images} images, in sparse/{self.number})"
-        unit = "m" if metric else "units of the model"
+        unit = "m" if metric else "model units"
         if self.by == "matches" and self.test is not None:
             test = self.test
             return (
-                f"{name} joined to the others by {test.ties} matches over {test.pairs} image pairs; the halves of "
-                f"these put it {test.jump:.3f} {unit} and {test.turn_deg:.2f} deg apart"
+                f"{name} joined to the others by {test.ties} matches over {test.pairs} image pairs; two halves of "
+                f"these matches differ by {test.jump:.3f} {unit} and {test.turn_deg:.2f} deg"
             )
         if self.by:
-            return f"{name} placed by its own positions, to about {self.sigma_m:.3f} m; no match ties it to the others"
+            return (
+                f"{name} placed by its own positions, with a sigma of about {self.sigma_m:.3f} m; no match ties it to "
+                "the others"
+            )
         return f"{name} is not in the world and not in the cloud: {self.why_not}"
 
 
 @dataclass(frozen=True)
 class OneWorld:
-    """The georeference of the model that carries the world (``first``), the ``model`` of all that came into it (None:
-    it is on disk), the others one by one."""
+    """The georeference of the model that defines the world (``first``), the ``model`` of all that came into it (None:
+    it is on disk), and the others one by one."""
 
     first: Georeference
     model: pycolmap.Reconstruction | None
@@ -81,25 +85,25 @@ class OneWorld:
     contradictions: tuple[str, ...] = ()
 
     def notes(self) -> list[str]:
-        """Of the first model, and what became of the others."""
+        """The notes on the first model and on the others."""
         metric = self.first.scale_source != "none"
         return [*self.first.findings.notes, *(o.note(metric) for o in self.others)]
 
     def by_hand(self) -> list[str]:
-        """What is lost where models come together by their positions alone, as in the papers' recipes."""
+        """A note on models that would need positions, for the papers' recipes, which join models by hand."""
         out = [o.images for o in self.others if not o.by]
-        lost = [] if self.first.placed else ["no model stands in the world by its positions"]
-        lost += [f"{sum(out)} images of {len(out)} models are not in the world"] if out else []
-        why = "the recipe has no step for that, where its authors looked at the models by hand"
+        lost = [] if self.first.placed else ["no model is placed by its positions"]
+        lost += [f"{sum(out)} images of {len(out)} models are not in the world frame"] if out else []
+        why = "the recipe has no such step: its authors joined the models by hand"
         return [f"{', and '.join(lost)}: {why}"] if lost else []
 
     def table(self) -> dict[str, dict]:
-        """How each further model came into the world; {} if there is one only."""
+        """How each further model came into the world; {} if there is only one model."""
         rows = [o.row() for o in self.others]
         return {"models in one world": {"columns": COLUMNS, "rows": rows}} if rows else {}
 
     def records(self) -> list[dict]:
-        """The same for world.json: what each model was placed by, and what held it."""
+        """The same for world.json: by what each model was placed, and with which evidence."""
         return [dict(zip(COLUMNS, o.row())) for o in self.others]
 
 
@@ -112,10 +116,11 @@ def one_world(
     given: Measurements,
     tuning: Tuning,
 ) -> OneWorld:
-    """Bring the largest model that its positions place into the world, then the others to it, one after another: by
-    matches, else by their own positions. ``given`` is of the first of ``models``.
+    """Bring the largest model that its positions place into the world, then the others, one after another: by
+    matches, else by their own positions. ``given`` belongs to the first of ``models``.
 
-    How a model comes there by its own positions: by the ``similarity`` alone, and as a ``whole`` with what follows it.
+    Two functions place a model by its own positions: ``similarity`` alone, and ``whole`` with the steps that follow
+    it.
     """
     first, world = whole(models[0], given)
     if len(models) == 1:
@@ -136,7 +141,7 @@ def one_world(
 class _Assembly:
     """The models in the world so far (``joining``), and how each further one came there or why it did not.
 
-    Each way of placing tries the models that are left and says whether one of them came into the world.
+    Each way of placing tries the remaining models and returns whether one of them came into the world.
     """
 
     def __init__(
@@ -156,11 +161,11 @@ class _Assembly:
         self._contradictions: list[str] = []
 
     def left(self) -> list[int]:
-        """The models of which nothing is said yet."""
+        """The models without a result yet."""
         return [k for k in self._alone if k not in self._others]
 
     def by_matches(self, left: Sequence[int]) -> bool:
-        """The one that most matches join to those in the world."""
+        """Place the model with most matches to those in the world."""
         tied = self._joining.strongest(left)
         if tied is None:
             return False
@@ -173,7 +178,7 @@ class _Assembly:
         return True
 
     def by_positions(self, left: Sequence[int]) -> bool:
-        """The first whose own positions place it; where none's do, all that are left stay out."""
+        """Place the first model that its own positions place; if there is none, all remaining models stay out."""
         tried = [self._placed_alone(number) for number in left]
         found = next((j for j in tried if j.by), None)
         if found is None:
@@ -205,7 +210,7 @@ def _by_positions(
     joining: Joining,
     tuning: Tuning,
 ) -> Joined:
-    """What its positions make of a model that no match joins."""
+    """Place by its positions a model that no match joins."""
     test = joining.tests.get(number)
     out = Joined(number, model.num_reg_images(), test=test)
     loose = "no match joins it to the others" if test is None else (
@@ -214,26 +219,29 @@ def _by_positions(
     if not own.placed or own.placing is None:
         return replace(out, why_not=f"{loose}, and it has too few positions of its own")
     if not first.placed:
-        return replace(out, why_not=f"{loose}, and the model that carries the world has no positions to meet its own")
+        return replace(out, why_not=f"{loose}, and the model that defines the world has no positions for comparison")
     roll = own.placing.fit.roll_sigma_deg
     if roll > tuning.world.similarity_fit.roll_limit_deg:
         known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
-        return replace(out, why_not=f"{loose}, and its positions leave the turn about its track open ({known})")
+        return replace(
+            out, why_not=(f"{loose}, and its positions do not determine the rotation about its track ({known})")
+        )
     return replace(out, by="positions", sigma_m=_sigma(own))
 
 
 def _against_positions(
     number: int, first: Georeference, own: Georeference, fit: TieFit
 ) -> tuple[tuple[float, float] | None, float | None, list[str]]:
-    """(metres, degrees) between matches and positions, the sigma of the latter, and whether both cannot be right."""
+    """(metres, degrees) between matches and positions, the sigma of the latter, and whether they contradict each
+    other."""
     if not (first.placed and own.placed):
         return None, None, []
     off, sigma = apart(fit.first_from_second, own.world_from_model, fit), float(np.hypot(_sigma(own), _sigma(first)))
     if off[0] <= LIMIT * sigma:
         return off, sigma, []
     said = (
-        f"model {number}: its matches with the others and its own positions put it {off[0]:.2f} m apart, "
-        f"{off[0] / sigma:.1f} sigmas; the matches were followed"
+        f"model {number}: its matches with the others and its own positions differ by {off[0]:.2f} m, "
+        f"{off[0] / sigma:.1f} sigmas; the matches were used"
     )
     return off, sigma, [said]
 

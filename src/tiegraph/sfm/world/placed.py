@@ -1,4 +1,4 @@
-"""A placement: what it rests on, what it says of positions that it did not know, and of the model once bent."""
+"""A georeference: its evidence, its residuals at held-out positions, and its update after the model was bent."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from tiegraph.sfm.world.weighing import EvidenceWeights
 
 @dataclass(frozen=True)
 class Model:
-    """What of the model a placement needs."""
+    """The data of the model that a georeference needs."""
 
     images: np.ndarray  # cam_from_world (N, 4, 4)
     up: Up | None
-    scale: RigScale | None  # by known lengths: scale bars where there are some, else the rig's baselines
+    scale: RigScale | None  # from known lengths: scale bars where there are some, else the rig's baselines
     targets: list[Target]
     names: tuple[str, ...] = ()  # of the images
     bars: BarsFound | None = None
-    rig: RigScale | None = None  # by the rig, where bars hold the scale
+    rig: RigScale | None = None  # from the rig, where bars determine the scale
 
     def frames(self, scene: Scene, metres_per_unit: float | None = None) -> np.ndarray:
-        """world_from_rig (F, 4, 4), by the rig's scale if none is given."""
+        """world_from_rig (F, 4, 4), with the rig's scale if none is given."""
         guess = 1.0 if self.scale is None else self.scale.metres_per_unit
         return frame_poses(self.images, scene, metres_per_unit or guess)
 
 
 @dataclass(frozen=True)
 class SimilarityFit:
-    """All a placement rests on; rows of ``evidence`` are the fixes, then the control points."""
+    """The evidence and result of a georeference; rows of ``evidence`` are the fixes, then the control points."""
 
-    evidence: Evidence  # sigmas as believed
+    evidence: Evidence  # sigmas as used
     fixes: Fixes  # sigmas as stated, with doubt about outages and bridges
     fit: Fit
-    up: Up | None  # used to hold the tilt
+    up: Up | None  # used to determine the tilt
     points: np.ndarray  # (C,) control points in the evidence: rows of the control file
     notes: tuple[str, ...]
     weighed: EvidenceWeights
     model: Model
     tuning: WorldTuning
-    rows: Stated  # the fixes as they are stated
+    rows: Stated  # the fixes as stated
 
     def residuals(self) -> np.ndarray:
         """(K, 3) metres, of the fixes."""
@@ -60,8 +60,8 @@ class SimilarityFit:
         return self.evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[: len(self.fixes)]
 
     def held_out(self, bends: bool) -> np.ndarray | None:
-        """(K, 3) metres, residuals of the fixes by the fit without those held out, and with what it tells of the
-        model's shape, or without; None without any, or with too few others."""
+        """(K, 3) metres, residuals of the fixes in the fit without the held-out ones, with or without its estimate of
+        the model's shape; None without held-out fixes, or with too few others."""
         count, evidence = len(self.fixes), self.evidence if bends else replace(self.evidence, bend=None)
         held = np.append(self.fixes.held, np.zeros(len(evidence.frame) - count, bool))
         seen = self.fit.inlier & ~held
@@ -74,18 +74,18 @@ class SimilarityFit:
         return off if evidence.bend is None else off + evidence.bend.modes[:count] @ coefficients @ turn.T
 
     def refitted(self) -> SimilarityFit:
-        """The same once its believed positions are fitted anew."""
+        """The same after its inlier positions were fitted again."""
         tuning = self.tuning
         return replace(self, fit=by_errors(self.evidence, self.up, self.fit, self.rows, tuning.fit, tuning.noise))
 
     def of_bent(self, poses: np.ndarray, targets: np.ndarray, bent: np.ndarray) -> SimilarityFit:
-        """The same of a model that its similarity has placed and that was bent since: ``poses`` (F, 4, 4) of the
-        scene's frames, places (C, 3) of the control points used, coefficients (M,) of the modes of its shape."""
+        """The same for a model that was placed by its similarity and then bent: ``poses`` (F, 4, 4) of the scene's
+        frames, places (C, 3) of the control points used, coefficients (M,) of the modes of its shape."""
         there, evidence, tuning, count = self.fit.similarity, self.evidence, self.tuning, len(self.fixes)
         pose, speed = self.fixes.blend(poses)
         points = evidence.pose[count:].copy()
         before = there(points[:, :3, 3])
-        points[:, :3, 3] = np.where(np.isfinite(targets), targets, before)  # rays that meet no more
+        points[:, :3, 3] = np.where(np.isfinite(targets), targets, before)  # rays that no longer meet
         turn, bend = there.scale * there.rotation, evidence.bend
         length, up = evidence.log_scale, self.up
         evidence = replace(
@@ -107,7 +107,7 @@ class SimilarityFit:
 
 @dataclass(frozen=True)
 class NotPlaced:
-    """Why nothing places a model, and whether that contradicts it."""
+    """Why a model is not placed, and whether that contradicts it."""
 
     why: str
     contradicts: bool = False

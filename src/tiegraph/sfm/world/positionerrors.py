@@ -1,11 +1,11 @@
-"""The errors of positions: a white part, a slow part and one that all share, their sizes told by the residuals.
+"""The errors of positions: a white part, a slow part and a common part, with sizes estimated from the residuals.
 
-A position of stated sigma s is off by s (w n + g z) + c. n is white; z is a first-order Gauss-Markov process of unit
-variance whose correlation falls as exp(-dt / tau); c is the same for all positions. A receiver states its sigma, and
-not how it is made up. So w and g (of each level of the stated sigma) and tau are the likeliest after the residuals are
-seen (restricted likelihood: Patterson and Thompson 1971; of variance components: Foerstner 1979, Koch 1999), with a
-weak belief in the stated sigma beforehand. No residual tells c, nor what of z lasts longer than the survey: these stay
-as wide as they are stated. What the images may bend of the model is among the unknowns (``sfm.shape``).
+A position of stated sigma s has the error s (w n + g z) + c. n is white; z is a first-order Gauss-Markov process of
+unit variance with correlation exp(-dt / tau); c is the same for all positions. A receiver states its sigma, but not
+these parts. So w and g (for each level of the stated sigma) and tau are estimated from the residuals (restricted
+likelihood: Patterson and Thompson 1971; variance components: Foerstner 1979, Koch 1999), with a weak prior at the
+stated sigma. No residual shows c, nor the part of z that lasts longer than the survey: these keep their stated sizes.
+The possible bend of the model, given its images, is among the unknowns (``sfm.shape``).
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from scipy.optimize import minimize
 from tiegraph.sfm.tuning.world import NoiseTuning
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
-_REACH = np.log(100.0)  # of the logarithms of sizes: beyond, positions are made and not measured, or of another survey
-HARDLY = 0.9  # of the sigma that is believed beforehand: what tells no more than that tells nothing
-_OPEN = 1e-10  # of what is known of an unknown: what nothing tells gets a huge sigma instead of a singular matrix
-_SAME = 1e-7  # of the likelihood's logarithm: a step that ends the search
+_REACH = np.log(100.0)  # limit on the logarithms of sizes: beyond, positions are synthetic or of another survey
+HARDLY = 0.9  # ratio to the prior sigma: an unknown with a larger one counts as undetermined
+_OPEN = 1e-10  # of the information: an undetermined unknown gets a huge sigma instead of a singular matrix
+_SAME = 1e-7  # of the log likelihood: a smaller step ends the search
 _MOST = 1 - 1e-9  # correlation of two positions of one instant
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Of K positions: ``sigma`` (K, 3) as stated, its ``level`` (K,), ``time_s`` (K,), NaN = not known, and sigmas (3,)
-    of what all of them have in common, metres, NaN = nothing."""
+    """For K positions: ``sigma`` (K, 3) as stated, its ``level`` (K,), ``time_s`` (K,), NaN = unknown, and sigmas
+    (3,) of their common error, metres, NaN = none."""
 
     sigma: np.ndarray
     level: np.ndarray
@@ -45,10 +45,10 @@ class Stated:
 
 @dataclass(frozen=True)
 class Linear:
-    """K positions and what else is known of D unknowns, linearised where they are.
+    """K positions and the other information on D unknowns, linearised at their present values.
 
-    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals. ``known``
-    (D + 1, D + 1): the products of such rows, over their sigmas, of all else.
+    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals. ``known`` (D + 1, D +
+    1): the products of such rows, divided by their sigmas, of all other information.
     """
 
     rows: np.ndarray
@@ -58,7 +58,8 @@ class Linear:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of errors, over the stated sigma: ``white`` and ``slow`` by level (L,), and how long the latter last (s)."""
+    """Sizes of errors relative to the stated sigma: ``white`` and ``slow`` by level (L,), and the correlation time
+    (s)."""
 
     white: np.ndarray
     slow: np.ndarray
@@ -66,9 +67,9 @@ class Sizes:
 
 
 class PositionErrors:
-    """The likeliest sizes of the errors of some positions, and what they leave of the unknowns.
+    """The maximum likelihood sizes of the errors of some positions, and the resulting estimate of the unknowns.
 
-    ``near``: sizes of nearly the same positions, to be looked for from there.
+    ``near``: sizes of nearly the same positions, from which the search starts.
     """
 
     def __init__(self, linear: Linear, tuning: NoiseTuning, near: Sizes | None = None) -> None:
@@ -86,7 +87,7 @@ class PositionErrors:
 
     @cached_property
     def sizes(self) -> Sizes:
-        """The likeliest after the residuals are seen."""
+        """The maximum likelihood sizes, given the residuals."""
         levels = self._level.max(initial=-1) + 1
         start = np.log([*[np.sqrt(0.5)] * (2 * levels), self._tuning.slow_s])
         bounds, first = np.stack([start - _REACH, start + _REACH], axis=1), start
@@ -97,12 +98,13 @@ class PositionErrors:
 
     @property
     def times_stated(self) -> float:
-        """The errors over what is stated of them, median of the positions."""
+        """Ratio of the errors to their stated sigmas, median of the positions."""
         return float(np.median(np.hypot(self.sizes.white, self.sizes.slow)[self._level])) if len(self._level) else 1.0
 
     @property
     def levels(self) -> list[tuple[float, float, int]]:
-        """Of the stated sigma, best first: that sigma (m), by how many times errors are larger, how many positions."""
+        """For each level of the stated sigma, best first: that sigma (m), ratio of the errors to it, number of
+        positions."""
         total, stated = np.hypot(self.sizes.white, self.sizes.slow), self._linear.stated.sigma[:, 0]
         of = [stated[self._level == k] for k in range(len(total))]
         return sorted((float(np.median(own)), float(factor), len(own)) for own, factor in zip(of, total))
@@ -113,26 +115,26 @@ class PositionErrors:
         return Sizes(white=white, slow=slow, lasts_s=float(np.exp(x[-1])))
 
     def _unlikely(self, x: np.ndarray, believed: np.ndarray) -> float:
-        """Twice the negative logarithm of the likelihood of sizes (their logarithms), but for a constant."""
+        """Twice the negative log likelihood of sizes (as logarithms), up to a constant."""
         lost, normal = self._normal(self._of(x))
         left = normal[-1, -1] - normal[-1, :-1] @ np.linalg.solve(normal[:-1, :-1], normal[:-1, -1])
         off, levels = x - believed, len(x) // 2
-        off[levels:-1] -= off[:levels]  # as much slow as white
+        off[levels:-1] -= off[:levels]  # prior: slow and white errors are equal
         belief = float(np.sum((off / self._tuning.belief) ** 2))
         return lost + float(np.linalg.slogdet(normal[:-1, :-1])[1] + left) + belief
 
     def _normal(self, sizes: Sizes) -> tuple[float, np.ndarray]:
-        """Logarithm of the determinant of the errors' covariance, and (D + 1, D + 1): the normal matrix, with the right
-        side as its last column and the squares of the residuals in the corner."""
+        """Log determinant of the errors' covariance, and (D + 1, D + 1): the normal matrix, with the right-hand side
+        as its last column and the sum of squared residuals in the corner."""
         if not len(self._order):  # control points alone may be all that is believed
             return 0.0, _regular(self._linear.known)
         level = self._level[self._order]
         slow = sizes.slow[level]
-        precise = (slow / sizes.white[level]) ** 2  # all is read in units of the slow part
+        precise = (slow / sizes.white[level]) ** 2  # everything in units of the slow part
         steps = np.where(np.isfinite(self._steps), self._steps, np.inf)
         rho = np.minimum(np.exp(-steps / sizes.lasts_s), _MOST)
         free = 1 / (1 - rho**2)
-        band = np.zeros((2, len(precise)))  # of the inverse covariance of the slow part, upper form, and of the white
+        band = np.zeros((2, len(precise)))  # inverse covariance of the slow part in upper form, plus the white one's
         band[0, 1:] = -rho * free
         band[1] = 1 + np.append(0.0, free - 1) + np.append(free - 1, 0.0) + precise
         factor = cholesky_banded(band)
@@ -144,11 +146,11 @@ class PositionErrors:
         return 3 * float(lost), _regular(self._linear.known + sides.T @ weighed)
 
     def step(self, believed: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
-        """What the unknowns are to be moved by (D,) for the best fit, and their covariance (D, D).
+        """The step (D,) of the unknowns to the best fit, and their covariance (D, D).
 
-        ``believed``: number and sigma of unknowns that are expected where they are. Those of them that the positions
-        hardly tell stay there, and what they may be off by counts (Schmidt 1966): noise would carry a clock, and with
-        it all places, far along a straight way.
+        ``believed``: number and sigma of unknowns with a prior at their present value. Those that the positions
+        hardly determine are held, and their uncertainty is propagated (Schmidt 1966): otherwise noise would move a
+        clock offset, and with it all places, far along a straight path.
         """
         normal = self._normal(self.sizes)[1]
         every = np.linalg.inv(normal[:-1, :-1])
@@ -164,20 +166,21 @@ class PositionErrors:
 
 
 def _regular(normal: np.ndarray) -> np.ndarray:
-    """The normal matrix (D + 1, D + 1), last the right side, that can be solved for what nothing tells too."""
+    """The normal matrix (D + 1, D + 1), last the right-hand side, made solvable for undetermined unknowns."""
     unknowns, out = np.arange(len(normal) - 1), normal.copy()
     out[unknowns, unknowns] += _OPEN * np.maximum(np.diag(normal)[:-1], _OPEN)
     return out
 
 
-# --- while poses, antenna and clock are looked for -------------------------------------------------------------------
+# --- while poses, antenna and clock offset are estimated
+# ------------------------------------------------------------------
 
 
 def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> np.ndarray:
-    """(K,) by which sigmas are to be multiplied, from residuals over sigma (K, 3); at least 1.
+    """(K,) factors on the sigmas, from residuals over sigma (K, 3); at least 1.
 
-    The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 - r))
-    for the correlation r of neighbours in time (the effective number of a first-order process).
+    The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 -
+    r)) for the correlation r of neighbours in time (the effective number of a first-order process).
     """
     out = np.ones(len(level))
     for rows in _rows_of(level):
@@ -201,9 +204,9 @@ def _scatter(residual: np.ndarray) -> float:
 
 
 def _correlation(residual: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> float:
-    """Correlation of residuals (K, 3) with those of the next in time, not negative; 0 without times.
+    """Correlation of residuals (K, 3) with the next in time, not negative; 0 without times.
 
-    Not about their mean: an offset common to all is the strongest correlation there is.
+    The mean is not subtracted: a common offset is the strongest correlation there is.
     """
     known = np.flatnonzero(np.isfinite(time_s))
     if len(known) < tuning.min_rows:

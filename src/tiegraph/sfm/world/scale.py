@@ -1,4 +1,4 @@
-"""Metres per model unit by the rig's baselines, where they are known and long enough to tell."""
+"""Metres per model unit from the rig's baselines, if they are known and long enough."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ RIG, BARS = "rig as given", "scale bars"
 
 @dataclass(frozen=True)
 class RigScale:
-    """Scale by known lengths, those of the rig or of scale bars, its relative sigma, and whether to believe it."""
+    """Scale from known lengths, those of the rig or of scale bars, its relative sigma, and whether it is reliable."""
 
     metres_per_unit: float
     sigma: float
@@ -25,7 +25,7 @@ class RigScale:
 
     @property
     def name(self) -> str:
-        """What holds the scale, in world.json."""
+        """The source of the scale in world.json."""
         return "rig baseline" if self.source == RIG else self.source
 
 
@@ -38,9 +38,10 @@ def rig_scale(
 ) -> RigScale | None:
     """Median ratio of given to mapped baselines over all frames; None without a rig of given lengths.
 
-    The sigma adds the baseline's own (2 mm, or what the rig file gives), a rotation error of 0.01 deg at the model's
-    median depth, and ``inside``: how well the images carry the baselines to the length of the whole (relative sigma of
-    the adjustment, NaN = not known). Whether the rig is believed is asked of the file alone, and nominal rigs are not.
+    The sigma includes the baseline's own (2 mm, or that of the rig file), a rotation error of 0.01 deg at the model's
+    median depth, and ``inside``: the accuracy with which the images transfer the baselines to the length of the whole
+    (relative sigma of the adjustment, NaN = unknown). Reliability is judged from the file alone, and nominal rigs are
+    not reliable.
     """
     ratios, lengths, sigmas, given = [], [], [], True
     by_frame: dict[int, list[int]] = {}
@@ -68,7 +69,7 @@ def rig_scale(
     if not given:
         why = "its extrinsics are nominal"
     elif sigma > tuning.max_sigma:
-        why = f"a baseline of {length:.3f} m at {depth:.0f} m gives a scale to {sigma:.1%} only"
+        why = f"a baseline of {length:.3f} m at a distance of {depth:.0f} m gives the scale only to {sigma:.1%}"
     return RigScale(
         metres_per_unit=scale, sigma=float(np.hypot(sigma, np.nan_to_num(inside))), trusted=not why, why_not=why
     )
@@ -77,8 +78,8 @@ def rig_scale(
 def _baseline(
     model: pycolmap.Reconstruction, poses: np.ndarray, scene: Scene, pair: tuple[int, int]
 ) -> tuple[float, float]:
-    """Distance of two images of a frame as given (m) and in the model: in its rig, for cameras that fire apart stand
-    elsewhere; where it has none, of the images (N, 4, 4)."""
+    """Distance of two images of a frame as given (m) and in the model. In the model it is that of its rig, because
+    cameras that fire at different times are elsewhere; without a rig, that of the images (N, 4, 4)."""
     given, mapped = [], []
     key = int(scene.rig[scene.frame[pair[0]]]) + 1
     rig = model.rigs[key] if key in model.rigs else None
@@ -97,7 +98,8 @@ def _baseline(
 
 
 def _stated(scene: Scene, a: int, b: int, unknown_m: float) -> float:
-    """Sigma (m) of the distance of two cameras of a rig: what its file gives of their places, else ``unknown_m``."""
+    """Sigma (m) of the distance of two cameras of a rig: from the sigmas of their places in its file, else
+    ``unknown_m``."""
     given = [s for s in (scene.sensor_of(a).sigma_m, scene.sensor_of(b).sigma_m) if s is not None]
     return float(np.linalg.norm(given)) if given else unknown_m
 

@@ -1,4 +1,4 @@
-"""Placing a model: which evidence there is, what of it is used, and the fit to it."""
+"""Placing a model: the available evidence, the part that is used, and the fit to it."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,7 +30,7 @@ from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
 @dataclass(frozen=True)
 class _Arm:
-    """The lever arm that is given, or None, and whether to estimate it (None: if the positions can tell)."""
+    """The given lever arm, or None, and whether to estimate it (None: if the positions determine it)."""
 
     given: np.ndarray | None
     estimate: bool | None
@@ -38,7 +38,7 @@ class _Arm:
 
 @dataclass(frozen=True)
 class _Given:
-    """What a placement is made of: model, survey, what was measured; ``points``: rows of the control points used."""
+    """The input of a georeference: model, survey, measurements; ``points``: rows of the control points used."""
 
     model: Model
     scene: Scene
@@ -49,7 +49,7 @@ class _Given:
 
     @cached_property
     def bend(self) -> np.ndarray:
-        """(F, 3, M) what each of the modes of the model's shape moves the frames by, model units."""
+        """(F, 3, M) movement of the frames by each mode of the model's shape, model units."""
         shape, frames = self.measured.shape, np.arange(self.scene.frames)
         return np.zeros((len(frames), 3, 0)) if shape is None else shape.at(frames)
 
@@ -57,13 +57,13 @@ class _Given:
 def fit_to_world(
     model: Model, scene: Scene, settings: GeorefSettings, given: Measurements, tuning: WorldTuning
 ) -> SimilarityFit | NotPlaced:
-    """Fit the model to everything measured in the world, if that is enough and no mirror image of the model."""
+    """Fit the model to all measurements in the world, if there are enough and the model is not mirrored."""
     notes, tuning = [], with_clock(tuning, scene)
     registered = np.all(np.isfinite(model.frames(scene)), axis=(1, 2))
     stated = make_fixes(scene, registered, given, tuning.fixes)
     points = _usable_points(model, given)
     frames = len(np.unique(stated.home))
-    places = len(np.unique(stated.position, axis=0))  # EXIF may give a whole object one place
+    places = len(np.unique(stated.position, axis=0))  # EXIF may give one position for a whole object
     if min(frames, places) + len(points) < tuning.similarity_fit.min_positions:
         few = f"{frames} registered frames have a prior position"
         few += f" ({places} different ones)" if places < frames else ""
@@ -89,7 +89,9 @@ def fit_to_world(
         up = up_to_use(now.evidence, model.up, notes, tuning, fit, upright)
         fit = fit if up is None else upright
     if not 0 < fit.sigma["scale"] < tuning.sources.any_scale:
-        return NotPlaced(f"{fit.inlier.sum()} of {len(fit.inlier)} positions agree with it, and do not tell its size")
+        return NotPlaced(
+            f"{fit.inlier.sum()} of {len(fit.inlier)} positions agree with it, and do not determine its size"
+        )
     notes += [arm_text(fit, now.evidence, tuning)] if now.evidence.arm.estimate else []
     notes += [clock_text(fit, now.evidence)] if moving else []
     return SimilarityFit(
@@ -107,14 +109,14 @@ def fit_to_world(
 
 
 def _significant(fit: Fit, evidence: Evidence) -> bool:
-    """Whether the antenna is surely elsewhere than given."""
+    """Whether the antenna certainly differs from its given place."""
     off = fit.arm.place - evidence.arm.place
     return bool(off @ np.linalg.pinv(fit.arm.covariance, hermitian=True) @ off > LIMIT**2)
 
 
 def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixTuning) -> Stated:
-    """The fixes as stated, wider by (3,) ``extra_m`` where another source contradicts them, and what all of them share:
-    of what a receiver states a part lasts (base station, atmosphere), and so does how well the datum is tied to its."""
+    """The fixes as stated, with (3,) ``extra_m`` added where another source contradicts them, and their common error:
+    part of a receiver's stated error is constant (base station, atmosphere), and so is the error of the datum."""
     common = np.full(3, np.nan)
     if scene.prior in ("gnss", "exif") and len(fixes):
         datum = 0.0 if scene.origin is None else datum_sigma_m(scene.origin.crs)
@@ -124,9 +126,9 @@ def _position_rows(fixes: Fixes, scene: Scene, extra_m: np.ndarray, tuning: FixT
 
 
 def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, Fitted]:
-    """What of all that was measured is used, and the first fit to it.
+    """The selection of the measurements, and the first fit to them.
 
-    Weighed once, fitted twice: the second time with the true scale for frames known through another camera than the
+    Selected once, fitted twice: the second time with the true scale for frames known through another camera than the
     first.
     """
     model, scene, tuning = about.model, about.scene, about.tuning
@@ -163,7 +165,7 @@ def _question(evidence: Evidence, stated: Fixes, about: _Given, arm: _Arm) -> Qu
 
 
 def time_order(scene: Scene, fixes: Fixes) -> np.ndarray:
-    """(K,) times of the fixes, or their places in the order of the passes where there are none."""
+    """(K,) times of the fixes, or their index in the order of the passes where there are none."""
     if np.isfinite(fixes.time_s).all():
         return fixes.time_s
     order = np.lexsort((scene.sequence_index[fixes.home], scene.sequence[fixes.home]))
@@ -171,7 +173,7 @@ def time_order(scene: Scene, fixes: Fixes) -> np.ndarray:
 
 
 def _usable_points(model: Model, given: Measurements) -> np.ndarray:
-    """Rows of the control points that enter the placement."""
+    """Rows of the control points that are used in the georeference."""
     if given.control is None:
         return np.zeros(0, int)
     usable = [k for k, t in enumerate(model.targets) if not t.why_not and not given.control.check[k]]
@@ -206,7 +208,7 @@ def _with_points(evidence: Evidence, about: _Given, metres: float) -> Evidence:
     spread = np.array([np.sqrt(np.trace(model.targets[k].covariance) / 3) for k in points]) * metres
     sigma = np.hypot(control.sigma_m[points], spread[:, None])
     seen = [about.scene.frame[control.marks.image[model.targets[k].marks]] for k in points]
-    bend = [about.bend[f].sum(axis=0) / max(len(f), 1) for f in seen]  # a point moves as the frames do that see it
+    bend = [about.bend[f].sum(axis=0) / max(len(f), 1) for f in seen]  # a point moves with the frames that see it
     sigma *= _point_factor(pose[:, :3, 3], control.world_m[points], sigma, about.tuning)
     return replace(
         evidence,
@@ -221,7 +223,7 @@ def _with_points(evidence: Evidence, about: _Given, metres: float) -> Evidence:
 
 
 def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tuning: WorldTuning) -> float:
-    """By how much control points disagree with each other more than their sigmas say; 1 with three of them."""
+    """Ratio of the differences between control points to their sigmas; 1 with three of them."""
     count = len(place)
     if count < tuning.similarity_fit.min_positions + 1:
         return 1.0
@@ -234,10 +236,11 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tunin
 
 
 def _mirrored(now: Fitted, about: _Given) -> str:
-    """What is to be said where the positions fit clearly better with east and north exchanged: a mirror image; else "".
+    """A message if the positions fit clearly better with east and north exchanged, which makes a mirror image; else
+    "".
 
-    By the errors in plan (``fits_better``), over what either reading believes. A straight track is its own mirror
-    image, so that nothing can be said of it.
+    From the errors in plan (``fits_better``), over the inliers of both readings. A straight track is its own mirror
+    image, so there is no message for it.
     """
     off = now.evidence.position_residuals(now.fit.similarity, now.fit.arm.place)
     if np.median(np.linalg.norm(off, axis=1)) < about.tuning.fit.antenna_sigma_m:
@@ -248,15 +251,15 @@ def _mirrored(now: Fitted, about: _Given) -> str:
     if not fits_better(first, second, free) or not _whole(now.evidence.frame[rows], about):
         return ""
     return (
-        f"the positions are a mirror image of the model: they miss it by {first:.2f} m in plan, with their first "
-        f"two coordinates exchanged by {second:.2f} m, {RARELY}: are latitude and longitude, "
-        "or north and east, exchanged in the GNSS file? They place nothing"
+        f"the positions are a mirror image of the model: they miss it by {first:.2f} m in plan, with their first two "
+        f"coordinates exchanged by {second:.2f} m, {RARELY}: are latitude and longitude, or north and east, exchanged "
+        "in the GNSS file? The positions are not used"
     )
 
 
 def _exchanged(now: Fitted, about: _Given) -> tuple[np.ndarray, list[np.ndarray], Similarity]:
-    """The positions that either reading believes, (K,) bool; what they are off with their first two coordinates as they
-    are, and exchanged; where they place the model if exchanged."""
+    """The inliers of both readings of the positions, (K,) bool; their residuals as given and with their first two
+    coordinates exchanged; the similarity of the model if they are exchanged."""
     evidence, fit, tuning = now.evidence, now.fit, about.tuning
     stated, turn = np.concatenate([now.fixes.sigma, evidence.sigma[len(now.fixes) :]]), [1, 0, 2]
     turned = replace(evidence, position=evidence.position[:, turn], sigma=stated[:, turn])
@@ -267,8 +270,8 @@ def _exchanged(now: Fitted, about: _Given) -> tuple[np.ndarray, list[np.ndarray]
 
 
 def _looking_up(now: Fitted, about: _Given) -> str:
-    """What is to be said where a receiver's positions make cameras look up and fit as well, with them looking down, if
-    two columns are exchanged: a flight at one height is its own mirror image turned over."""
+    """A message if cameras look up with a receiver's positions as given, but look down with an equally good fit if
+    two columns are exchanged: a flight at constant height is its own mirror image turned over."""
     steep, scene, fit = about.tuning.similarity_fit.looks_up_deg, about.scene, now.fit
     axes = about.model.images[scene.of_role("side"), 2, :3]
     axes = axes[np.isfinite(axes).all(axis=1)]
@@ -286,17 +289,17 @@ def _looking_up(now: Fitted, about: _Given) -> str:
     if up_deg(other) > -steep or fits_better(second, first, 3 * about.tuning.statements.least_positions - 7):
         return ""
     return (
-        f"by the positions the cameras look up, by {up_deg(fit.similarity):.0f} deg on average (sigma "
-        f"{fit.sigma['tilt_deg']:.1f} deg); with their first two coordinates exchanged these fit as well ({first:.2f} "
-        f"and {second:.2f} m), and the cameras look down: if they did, latitude and longitude, or north and east, are "
-        "exchanged in the GNSS file (a mirror image)"
+        f"with these positions the cameras look up, by {up_deg(fit.similarity):.0f} deg on average (sigma "
+        f"{fit.sigma['tilt_deg']:.1f} deg); with their first two coordinates exchanged the positions fit as well "
+        f"({first:.2f} and {second:.2f} m), and the cameras look down: if they did, latitude and longitude, or north "
+        "and east, are exchanged in the GNSS file (a mirror image)"
     )
 
 
 def _upside_down(now: Fitted, about: _Given) -> str:
-    """What is to be said where the positions alone put a ring of cameras upside down: the mirror image of a track.
+    """A message if the positions alone turn a ring of cameras upside down: the mirror image of a track.
 
-    Two passes side by side and mirrored are the same passes turned over, so that the residuals of a fit tell nothing.
+    Two passes side by side and mirrored are the same passes turned over, so the residuals of a fit do not show it.
     """
     evidence, fixes, up, tuning = now.evidence, now.fixes, now.up, about.tuning
     if up is None or not up.ring or not len(fixes) or not _whole(fixes.home, about):
@@ -310,15 +313,15 @@ def _upside_down(now: Fitted, about: _Given) -> str:
         return ""
     return (
         "the positions turn the survey upside down: the tops of the side cameras' images point to the ground, "
-        f"though the roll about the track is known to {alone.roll_sigma_deg:.1f} deg; are latitude and longitude, "
-        "or north and east, exchanged in the GNSS file (a mirror image)? Or do the cameras hang upside down: then "
-        "turn the images. The positions place nothing"
+        f"although the roll about the track has a sigma of {alone.roll_sigma_deg:.1f} deg; are latitude and "
+        "longitude, or north and east, exchanged in the GNSS file (a mirror image)? If the cameras are mounted "
+        "upside down, turn the images. The positions are not used"
     )
 
 
 def _whole(frames: np.ndarray, about: _Given) -> bool:
-    """Whether a model is more than a part of its survey, and that on points enough, by the frames (K,) whose positions
-    speak: a torn or thin one may be a mirror image itself."""
+    """Whether a model covers most of its survey with enough points, from the frames (K,) with the positions used: a
+    torn or weak model may be a mirror image itself."""
     asked, known = int(np.isfinite(about.scene.world_from_rig[:, :3, 3]).all(axis=1).sum()), about.tuning.statements
     speak = len(np.unique(frames[frames >= 0])) if asked else len(frames)
     return min(speak, about.measured.firm_frames) >= max(known.least_positions, known.agreeing * asked)
@@ -332,5 +335,7 @@ def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> _Arm
     if settings.antenna == "estimated":
         return _Arm(given, estimate=True)
     if settings.antenna == "given" and given is None:
-        notes.append("georef.antenna = 'given', but the rig file gives no antenna: the cameras are taken to be there")
+        notes.append(
+            "georef.antenna = 'given', but the rig file gives no antenna: positions are taken as those of the cameras"
+        )
     return _Arm(given, estimate=False if given is not None or settings.antenna == "given" else None)

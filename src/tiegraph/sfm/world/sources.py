@@ -1,7 +1,8 @@
-"""What each source of a placement says by itself: positions alone, control points alone, the rig, the cameras' tops.
+"""The statements of each single source: positions alone, control points alone, the rig, the cameras' upward
+direction.
 
-A source is a similarity of its own with a covariance. Its statements are read against the result: how many times the
-result's scale, by how much turned, by how many metres elsewhere.
+Each source gives its own similarity with a covariance. Its statements are relative to the result: factor on the
+scale, rotation, and shift in metres.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ _THREE = 3  # places, for a similarity
 
 @dataclass(frozen=True)
 class Source:
-    """A placement by one source. ``covariance`` (7, 7) of turn, shift and log scale about ``middle`` (world);
+    """A similarity from one source. ``covariance`` (7, 7) of rotation, shift and log scale about ``middle`` (world);
     ``residual`` (K, 3) metres of its own fit."""
 
     name: str
@@ -38,13 +39,13 @@ class Source:
 
     @property
     def scale_sigma(self) -> float:
-        """Of the logarithm of the scale."""
+        """Sigma of the logarithm of the scale."""
         return float(np.sqrt(self.covariance[6, 6]))
 
     def statements(
         self, result: Similarity, at: np.ndarray, used: Sequence[str], tuning: SourceTuning
     ) -> list[Statement]:
-        """What it says of scale, heading, tilt and place of a model point ``at`` (3,), against the result."""
+        """Its statements on scale, heading, tilt and place of a model point ``at`` (3,), relative to the result."""
         turn = np.degrees(Rotation.from_matrix(self.similarity.rotation @ result.rotation.T).as_rotvec())
         spread = np.degrees(np.sqrt(np.diag(self.covariance)[:3]))
         here = self.similarity(at[None])
@@ -91,11 +92,10 @@ def alone(
     tuning: WorldTuning,
     free_antenna: bool = False,
 ) -> Source | None:
-    """The placement by some rows (K,) bool of the evidence alone; None with fewer than three of them.
+    """The similarity from some rows (K,) bool of the evidence alone; None with fewer than three of them.
 
-    Positions by the errors that their residuals about this very fit show, and what all of them share
-    (``positionerrors``), control points, which are ``stated`` as they are, by these; ``free_antenna``: the lever arm
-    may be anything.
+    Positions are weighed by the errors that their residuals in this fit show, and by their common error
+    (``positionerrors``); control points by their ``stated`` sigmas; ``free_antenna``: the lever arm may be anything.
     """
     own = evidence.where(rows)
     if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < _THREE:
@@ -119,7 +119,7 @@ def alone(
 
 
 def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> list[Statement]:
-    """Known lengths, those of the rig or of scale bars, of the scale, where they tell it."""
+    """The statement of known lengths, those of the rig or of scale bars, on the scale, if they determine it."""
     if scale is None or not scale.trusted:
         return []
     ratio = scale.metres_per_unit / result.scale
@@ -127,8 +127,8 @@ def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> lis
 
 
 def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:
-    """What a ring of cameras says of the tilt. Those to one side say nothing unless they are needed for all of it: they
-    may be held or mounted anyhow, upside down or looking straight down too."""
+    """The statement of a ring of cameras on the tilt. Cameras on one side give none unless they alone determine it:
+    they may be held or mounted in any way, even upside down or looking straight down."""
     if up is None or not (up.ring or (used and up.tilt)):
         return []
     lean = result.rotation @ up.direction
@@ -140,7 +140,7 @@ def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Stateme
 
 
 def orientation_statements(evidence: Evidence, result: Similarity, tuning: SourceTuning) -> list[Statement]:
-    """Given orientations of heading and tilt, against the result."""
+    """The statements of given orientations on heading and tilt, relative to the result."""
     known = np.isfinite(evidence.orientation).all(axis=(1, 2))
     if not known.any():
         return []

@@ -1,4 +1,4 @@
-"""What a placement says of itself: the table of evidence, and each contradiction in one sentence."""
+"""The statements of a georeference: the table of evidence, and each contradiction in one sentence."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -29,7 +29,8 @@ _ALONG = "along the motion"
 
 
 def with_statements(found: Georeference, scene: Scene, targets: list[Target]) -> Georeference:
-    """The georeference with its statements and contradictions; sigmas widened where a contradiction says so.
+    """The georeference with its statements and contradictions; sigmas are increased where a contradiction requires
+    it.
 
     ``targets``: the control points in its world.
     """
@@ -59,7 +60,7 @@ def with_statements(found: Georeference, scene: Scene, targets: list[Target]) ->
     sentences += _levels(found, bool(forms))
     sentences += _control(found, targets)
     error = known.error.widened_to(sigma) if known.error is not None else None
-    if known.shape is not None:  # what is stated of heading and tilt is that of the images, not of their places alone
+    if known.shape is not None:  # heading and tilt are stated for the images, not for their positions alone
         yaw, tilt = np.degrees(np.sqrt(_turned(known.shape, found.placing.up)))
         sigma["yaw_deg"] = round(float(np.hypot(sigma["yaw_deg"], yaw)), 6)
         sigma["tilt_deg"] = round(float(np.hypot(sigma["tilt_deg"], tilt)), 6)
@@ -78,8 +79,9 @@ def with_statements(found: Georeference, scene: Scene, targets: list[Target]) ->
 
 
 def _turned(shape: Shape, up: Up | None) -> tuple[float, float]:
-    """Variances, rad squared, of heading and tilt of the images against their places, as far as these tell them: an
-    upward direction is that of the images, and holds the tilt or, of cameras to one side, the roll about the track."""
+    """Variances, rad squared, of heading and tilt of the images relative to their positions, if these determine them:
+    an upward direction is that of the images, and determines the tilt or, for cameras on one side, the roll about the
+    track."""
     track = np.linalg.svd(shape.place - shape.place.mean(axis=0), full_matrices=False)[2][0]
     across = np.array([-track[1], track[0], 0.0]) / max(float(np.hypot(*track[:2])), 1e-12)
     tilt = across @ shape.turn @ across if up is not None else shape.turn[0, 0] + shape.turn[1, 1]
@@ -87,7 +89,7 @@ def _turned(shape: Shape, up: Up | None) -> tuple[float, float]:
 
 
 def statements(found: Georeference) -> list[Statement]:
-    """What each source says, against the result."""
+    """The statements of each source, relative to the result."""
     placing = found.placing
     assert placing is not None
     weighed, result = placing.weighed, found.world_from_model
@@ -117,7 +119,7 @@ def statements(found: Georeference) -> list[Statement]:
 
 
 def _of_quantities(found: list[Contradiction]) -> list[Contradiction]:
-    """The worst of each quantity."""
+    """The worst contradiction of each quantity."""
     out: dict[str, Contradiction] = {}
     for c in found:
         out.setdefault(c.first.quantity, c)
@@ -125,40 +127,45 @@ def _of_quantities(found: list[Contradiction]) -> list[Contradiction]:
 
 
 def _decided(said: list[Statement]) -> list[Contradiction]:
-    """The scale's, where it was decided between its sources though the result lets them differ a little less."""
+    """The contradiction of the scale, if it was decided between sources although the result reduces their difference
+    a little."""
     rows = [s for s in said if s.quantity == SCALE]
     pairs = [(abs(a.value - b.value) / np.hypot(a.sigma, b.sigma), a, b) for a, b in combinations(rows, 2)]
     return [Contradiction(a, b, float(s)) for s, a, b in sorted(pairs, key=lambda p: -p[0])[:1]]
 
 
 def _culprit(c: Contradiction, said: list[Statement], found: Georeference) -> str:
-    """Who is likely wrong, in words."""
+    """The likely cause, in words."""
     assert found.placing is not None
     names = {c.first.source, c.second.source}
     if c.first.quantity == SCALE:
         why = found.placing.weighed.why
-        hint = "do its cameras fire apart, or is a baseline wrong" if RIG in names else "another unit or projection"
+        hint = (
+            ("do its cameras fire at different times, or is a baseline wrong")
+            if RIG in names
+            else "another unit or projection"
+        )
         return f"{why} ({hint}?)" if why else hint + "?"
     others = [s for s in said if s.quantity == c.first.quantity and s.source not in names]
     for one, other in ((c.first, c.second), (c.second, c.first)):
         bad = [s for s in others if abs(s.value - one.value) > LIMIT * np.hypot(s.sigma, one.sigma)]
         good = [s for s in others if abs(s.value - other.value) <= LIMIT * np.hypot(s.sigma, other.sigma)]
         if others and len(bad) == len(good) == len(others):
-            return f"{one.source} stands alone against {' and '.join([other.source, *(s.source for s in others)])}"
+            return f"{one.source} contradicts {' and '.join([other.source, *(s.source for s in others)])}"
     if c.first.quantity == "height" and CONTROL in names:
         return (
-            f"the difference is the same all over ({c.first.value - c.second.value:+.1f} m); heights above the start, "
-            f"above sea level, or none in one of them? those of the {CONTROL} are used"
+            f"the difference is the same everywhere ({c.first.value - c.second.value:+.1f} m); are heights above the "
+            f"start or above sea level, or missing, in one of them? those of the {CONTROL} are used"
         )
     if CONTROL in names and not names & {ORIENTATIONS}:
         return f"another datum, or points of another survey? the {CONTROL} are used"
     if ORIENTATIONS in names:
         return "are the axes of the given orientations those of the rig?"
-    return "what is used is marked in the table of evidence"
+    return "the table of evidence shows which is used"
 
 
 def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said: bool) -> list[tuple[str, float, str]]:
-    """(axis, size, sentence) of residuals that are no noise and larger than two positions and the model may differ."""
+    """(axis, size, sentence) of systematic residuals that exceed the errors of two positions and of the model."""
     placing = found.placing
     assert placing is not None
     fixes = placing.fixes
@@ -180,7 +187,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
         known_to = np.hypot(stated, placing.tuning.fit.antenna_sigma_m if form.form == "offset" and anywhere else 0.0)
         if form.size / 2 > TWO_ENDS * known_to:
             out.append((axis, form.size, _trend_text(axis, form.text(), form.form, stated, found)))
-    return sorted(out, key=lambda t: -t[1])[:1]  # one cause shows on several axes
+    return sorted(out, key=lambda t: -t[1])[:1]  # one cause appears on several axes
 
 
 def _directions(place: np.ndarray) -> np.ndarray:
@@ -193,14 +200,14 @@ def _directions(place: np.ndarray) -> np.ndarray:
 
 
 def _length(found: Georeference) -> float:
-    """Of the way that the positions go, end to end, metres."""
+    """Length of the path of the positions, end to end, metres."""
     assert found.placing is not None
     own = found.placing.fixes.position
     return max(float(np.linalg.norm(np.ptp(own, axis=0))), 1e-9)
 
 
 def _rests_on(found: Georeference, scene: Scene) -> list[str]:
-    """What holds the scale where the rig does, and what checks it: its own images do not."""
+    """What determines the scale where the rig does, and what checks it: the images themselves cannot."""
     placing = found.placing
     assert placing is not None
     rig = placing.model.scale
@@ -208,13 +215,10 @@ def _rests_on(found: Georeference, scene: Scene) -> list[str]:
         return []
     most = placing.tuning.sources.told_scale
     told = [s for s in placing.weighed.sources if np.isfinite(s.scale_sigma) and s.scale_sigma < most]
-    checked = " and ".join(f"the {s.name} tell it to {s.scale_sigma:.1%}" for s in told)
+    checked = " and ".join(f"the {s.name} determine it to {s.scale_sigma:.1%}" for s in told)
     levers = ", ".join(s.name for r in scene.rigs if not r.nominal for s in r.sensors[1:])
     on = f"lever arms of the rig as given ({levers})" if rig.source == RIG else rig.source
-    return [
-        f"the scale rests on the {on}, by which the images tell it to {rig.sigma:.1%}; "
-        f"{checked or 'nothing else tells it'}"
-    ]
+    return [f"the scale comes from the {on}, with a sigma of {rig.sigma:.1%}; {checked or 'nothing else checks it'}"]
 
 
 def _trend_text(axis: str, text: str, form: str, sigma: float, found: Georeference) -> str:
@@ -223,20 +227,20 @@ def _trend_text(axis: str, text: str, form: str, sigma: float, found: Georeferen
     lengths = found.placing.model.scale if found.placing.weighed.lengths_used else None
     holds = "something else" if lengths is None else f"the {lengths.source}"
     causes = {
-        "line": f"positions that drift, or a scale that {holds} holds",
+        "line": f"positions that drift, or a scale that is determined by {holds}",
         "curve": "a model that bends, or positions that drift",
-        "offset": "positions whose times are off, or an antenna ahead of or behind the cameras",
+        "offset": "wrong times of the positions, or an antenna ahead of or behind the cameras",
         "step": "positions that jump (a receiver that lost and found its fix, another base), or a torn model",
     }
-    kept = "" if found.adjusted else "; the images do not follow them"
+    kept = "" if found.adjusted else "; the model was not bent to them"
     return (
-        f"positions and model: the residuals {text} {where}, which noise does not do, with a sigma of {sigma:.2g} m "
-        f"stated: {causes[form]}{kept}"
+        f"positions and model: the residuals {text} {where}, which is not noise for a stated sigma of {sigma:.2g} m. "
+        f"Possible causes: {causes[form]}{kept}"
     )
 
 
 def _levels(found: Georeference, explained: bool) -> list[str]:
-    """Positions that scatter far beyond what is stated of them."""
+    """Positions whose scatter far exceeds their stated sigma."""
     placing = found.placing
     assert placing is not None
     tuning, out = placing.tuning, []
@@ -244,9 +248,9 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
         name = placing.weighed.name
         if factor > tuning.statements.scatter and count >= tuning.noise.min_rows and not explained:
             out.append(
-                f"{name} of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much "
-                f"({count} of them): believed accordingly; a receiver that is optimistic, or a lever arm or "
-                "clock that is not known"
+                f"{name} of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much ({count} of them); their "
+                "sigma was increased accordingly. Possible causes: a receiver with optimistic sigmas, or an unknown "
+                "lever arm or clock offset"
             )
     used = int(found.residuals.inlier.sum())
     total = int(np.isfinite(found.residuals.frames_m).all(axis=1).sum())
@@ -259,7 +263,7 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
 
 
 def _control(found: Georeference, targets: list[Target]) -> list[str]:
-    """Control points that contradict the others, and those that contradict each other without one to blame."""
+    """Control points that contradict the others, and those that contradict each other without a single wrong one."""
     placing, given = found.placing, found.control.given
     assert placing is not None
     out = [f"control point {r['name']!r} is not used: {r['why_not']}" for r in found.control.rows if r["blunder"]]
@@ -271,13 +275,13 @@ def _control(found: Georeference, targets: list[Target]) -> list[str]:
     if factor > placing.tuning.statements.scatter:
         out.append(
             f"{len(stated)} control points contradict each other: they scatter {factor:.1f} times their sigma of "
-            f"{np.median(given.sigma_m[placing.points]):.2g} m, and none of them alone is to blame"
+            f"{np.median(given.sigma_m[placing.points]):.2g} m, and no single one of them is the cause"
         )
     return out
 
 
 def _check_points(found: Georeference, model_sigma_m: float, targets: list[Target]) -> list[str]:
-    """Check points whose error is far beyond what was predicted."""
+    """Check points whose error far exceeds the predicted one."""
     given, placing = found.control.given, found.placing
     assert placing is not None
     rows, predicted = _points_known(found, "check", model_sigma_m, targets)
@@ -290,12 +294,12 @@ def _check_points(found: Georeference, model_sigma_m: float, targets: list[Targe
     far = given.names[rows[int(np.argmax(np.linalg.norm(off / predicted, axis=1)))]]
     return [
         f"{len(rows)} check points and the model differ by {actual:.3g} m (RMSE), predicted {expected:.2g} m, most at "
-        f"{far!r}: their coordinates, or what placed the model, are wrong by that"
+        f"{far!r}: their coordinates or the georeference are wrong by this amount"
     ]
 
 
 def _with_predicted(found: Georeference, model_sigma_m: float, targets: list[Target]) -> Georeference:
-    """The accuracies of control and check points with what is predicted of their differences (``predicted_m``)."""
+    """The accuracies of control and check points with the predicted size of their differences (``predicted_m``)."""
     accuracy = {}
     for role, values in found.control.accuracy.items():
         known = _points_known(found, role, model_sigma_m, targets)[1]
@@ -307,7 +311,7 @@ def _with_predicted(found: Georeference, model_sigma_m: float, targets: list[Tar
 def _points_known(
     found: Georeference, role: str, model_sigma_m: float, targets: list[Target]
 ) -> tuple[list[int], np.ndarray]:
-    """Rows of the points of a role that are used, and sigmas (P, 3) of model minus survey; none where not placed."""
+    """Rows of the used points of a role, and sigmas (P, 3) of model minus survey; none if the model is not placed."""
     rows = [k for k, r in enumerate(found.control.rows) if r["role"] == role and r["off_m"] and not r["why_not"]]
     given, error = found.control.given, found.uncertainty.error
     if not rows or given is None or error is None:

@@ -1,4 +1,4 @@
-"""Of a placement beside place and turn: the scale by the rig, the antenna in it, the receiver's clock, the shape."""
+"""Unknowns of a georeference beside the similarity: scale from the rig, antenna, receiver's clock offset, shape."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LogScale:
-    """Logarithm of the metres a unit of the model has by the rig, and sigma of it."""
+    """Logarithm of the metres per model unit from the rig, and its sigma."""
 
     value: float
     sigma: float
@@ -17,7 +17,7 @@ class LogScale:
 
 @dataclass(frozen=True)
 class LeverArm:
-    """The antenna in the rig frame, metres, as believed before the fit, and whether it is an unknown of it."""
+    """The antenna in the rig frame, metres: prior value, and whether it is an unknown of the fit."""
 
     place: np.ndarray  # (3,)
     estimate: bool = False
@@ -33,7 +33,7 @@ class FittedArm:
 
 @dataclass(frozen=True)
 class Clock:
-    """By how much the receiver's clock is behind the cameras', and sigma of it, seconds; NaN = not estimated."""
+    """Delay of the receiver's clock relative to the cameras', and its sigma, seconds; NaN = not estimated."""
 
     offset_s: float
     sigma_s: float
@@ -41,13 +41,13 @@ class Clock:
 
 @dataclass(frozen=True)
 class Bend:
-    """What each of the modes of a model's shape moves K places by, (K, 3, M) in units of the model, and coefficients
-    (M,) by which they were moved already."""
+    """Movement of K places by each mode of a model's shape, (K, 3, M) in model units, and coefficients (M,) already
+    applied."""
 
     modes: np.ndarray
     done: np.ndarray
 
     @staticmethod
     def of(modes: np.ndarray) -> Bend:
-        """Of places as the images have them."""
+        """For places as determined by the images."""
         return Bend(modes, np.zeros(modes.shape[2]))

@@ -1,4 +1,4 @@
-"""What of a placement is used where its sources contradict each other: decided by tests, before anything is fitted."""
+"""Which sources a georeference uses if they contradict each other: decided by tests before the fit."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,16 @@ from tiegraph.sfm.world.positionerrors import Stated
 from tiegraph.sfm.world.scale import BARS, RIG, RigScale
 from tiegraph.sfm.world.sources import CONTROL, Source, alone
 
-TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
+TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, from which its ends contradict each other
 
 
 @dataclass(frozen=True)
 class EvidenceWeights:
-    """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): what is added to the
-    positions' sigmas because another source says otherwise; ``scale_sigma``: to widen the scale's to, 0 = not at all;
-    ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words;
-    ``free_antenna``: no lever arm was given; ``name`` of the positions; ``doubt``: what may be wrong with them all the
-    same, "" = nothing."""
+    """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): added to the
+    positions' sigmas because another source contradicts them; ``scale_sigma``: the sigma to which that of the scale
+    is increased, 0 = not at all; ``at`` (3,): the model point at which places are compared; ``why``: how the scale
+    was decided, in words; ``free_antenna``: no lever arm was given; ``name`` of the positions; ``doubt``: a possible
+    error that remains, "" = none."""
 
     sources: tuple[Source, ...]
     scale_used: tuple[str, ...]
@@ -36,15 +36,14 @@ class EvidenceWeights:
 
     @property
     def lengths_used(self) -> bool:
-        """Whether the rig's baselines, or scale bars, may hold the scale."""
+        """Whether the rig's baselines, or scale bars, may determine the scale."""
         return RIG in self.scale_used or BARS in self.scale_used
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is weighed: ``count`` fixes before the control points in the evidence, their times (K,) or order, the
-    positions' name, what is ``stated`` of them, the scale by known lengths, and whether the lever arm is
-    unknown."""
+    """The question to decide: ``count`` fixes before the control points in the evidence, their times (K,) or order,
+    the positions' name, their ``stated`` errors, the scale from known lengths, and whether the lever arm is unknown."""
 
     evidence: Evidence
     count: int
@@ -57,11 +56,11 @@ class Question:
 
 
 def weigh(asked: Question) -> EvidenceWeights:
-    """Ask each source alone, compare, and decide what is used of scale and places.
+    """Compute each source alone, compare them, and decide which are used for scale and places.
 
-    A rig's baseline that the positions (or control points) contradict gives way to them if they fit without a trend of
-    their own, for a wrong scale leaves one (scale bars do not give way to one source alone); where nothing else says
-    who is right, the scale's sigma covers both. Of positions and control points that contradict each other the control
+    If positions (or control points) contradict a rig's baseline, it is not used if they fit without a trend of their
+    own, because a wrong scale leaves a trend (scale bars are not overruled by one source alone). If nothing else
+    decides, the sigma of the scale covers both. If positions and control points contradict each other, the control
     points are used.
     """
     evidence, tuning = asked.evidence, asked.tuning
@@ -91,7 +90,7 @@ def weigh(asked: Question) -> EvidenceWeights:
 
 
 def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Source | None:
-    """One or two control points: they say where the positions' world ought to lie, nothing of turn and scale."""
+    """One or two control points: they give the position of the positions' world, but no rotation or scale."""
     if positions is None:
         return None
     own = evidence.where(~rows)
@@ -112,7 +111,8 @@ def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Sour
 
 @dataclass(frozen=True)
 class _Scale:
-    """Sources of the scale that are used, the sigma to widen it to, what is added to positions (3,) m, and why."""
+    """Sources of the scale that are used, the sigma to which it is increased, the addition to positions (3,) m, and
+    why."""
 
     used: tuple[str, ...]
     sigma: float
@@ -121,7 +121,7 @@ class _Scale:
 
 
 def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
-    """Which sources tell the scale: most against one; of two the one whose residuals have no trend."""
+    """Which sources determine the scale: the majority against one; of two, the one whose residuals have no trend."""
     most = asked.tuning.sources.any_scale
     told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < most}
     lengths = asked.scale if asked.scale is not None and asked.scale.trusted else None
@@ -132,8 +132,8 @@ def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
         return _without_contradiction(asked, told, (*told, lengths.source))
     agreeing = tuple(n for n in told if n not in against)
     if agreeing and asked.name in against:
-        # The positions contradict the lengths, and somebody agrees with these
-        why = f"{asked.name} stand alone against the others and are not used for it"
+        # The positions contradict the lengths, and another source agrees with the positions
+        why = f"{asked.name} contradict the others and are not used for it"
         return _Scale((lengths.source, *agreeing), 0.0, _at_the_ends(asked, against[asked.name]), why=why)
     if agreeing or len(against) > 1:
         return _lengths_alone(lengths, tuple(told))
@@ -142,13 +142,13 @@ def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
 
 
 def _against(lengths: RigScale, told: dict[str, Source]) -> dict[str, float]:
-    """Sources whose scale contradicts that of known lengths: name -> by how much (logarithm)."""
+    """Sources whose scale contradicts that of known lengths: name -> difference of logarithms."""
     apart = {n: abs(np.log(s.similarity.scale / lengths.metres_per_unit)) for n, s in told.items()}
     return {n: float(a) for n, a in apart.items() if a > LIMIT * np.hypot(told[n].scale_sigma, lengths.sigma)}
 
 
 def _without_contradiction(asked: Question, told: dict[str, Source], names: tuple[str, ...]) -> _Scale:
-    """Known lengths contradict nobody, or there are none: positions against control points."""
+    """Without contradiction to known lengths, or without known lengths: positions against control points."""
     if asked.name in told and CONTROL in told:
         a, b = told[asked.name], told[CONTROL]
         apart = abs(float(np.log(a.similarity.scale / b.similarity.scale)))
@@ -159,19 +159,19 @@ def _without_contradiction(asked: Question, told: dict[str, Source], names: tupl
 
 
 def _lengths_alone(lengths: RigScale, told: tuple[str, ...]) -> _Scale:
-    """Others than the positions contradict the lengths, or all do."""
-    verbs = ("stands", "is") if lengths.source == RIG else ("stand", "are")
-    why = f"the {lengths.source} {verbs[0]} alone against the others and {verbs[1]} not used for it"
+    """Sources other than the positions contradict the lengths, or all do."""
+    verbs = ("contradicts", "is") if lengths.source == RIG else ("contradict", "are")
+    why = f"the {lengths.source} {verbs[0]} the others and {verbs[1]} not used for it"
     return _Scale(told, 0.0, np.zeros(3), why=why)
 
 
 def _one_against_one(asked: Question, lengths: RigScale, other: Source, apart: float) -> _Scale:
-    """Nothing else says who is right: the sigma of the scale covers both."""
-    if lengths.source == BARS:  # they are there for the scale and nothing else
+    """Nothing else decides: the sigma of the scale covers both."""
+    if lengths.source == BARS:  # they were measured for the scale alone
         return _Scale((BARS,), apart, _at_the_ends(asked, apart), why=f"that of the {BARS} is used")
     own = _own_trend(asked, other) if other.name == asked.name else None
     if own is not None:
-        why = f"the residuals of the {other.name} {own.text()} even by themselves, so that of the rig is used"
+        why = f"the residuals of the {other.name} {own.text()} even in a fit of their own, so that of the rig is used"
         return _Scale((RIG,), apart, _at_the_ends(asked, apart), why=why)
     fits = float(np.median(np.linalg.norm(other.residual, axis=1)))
     why = f"without the rig's scale they fit to {fits:.2g} m (median), so that of the {other.name} is used"
@@ -181,7 +181,7 @@ def _one_against_one(asked: Question, lengths: RigScale, other: Source, apart: f
 def _places(
     found: dict[str, Source], at: np.ndarray, name: str, tuning: SourceTuning
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Whose places are used, and what is added to the positions' sigmas (3,)."""
+    """The sources whose places are used, and the addition to the positions' sigmas (3,)."""
     if name not in found or CONTROL not in found:
         return tuple(found), np.zeros(3)
     a = found[name].statements(found[CONTROL].similarity, at, (), tuning)[-3:]
@@ -193,7 +193,7 @@ def _places(
 
 
 def _at_the_ends(asked: Question, apart: float) -> np.ndarray:
-    """(3,) m that a scale off by so much (logarithm) moves positions by (root mean square)."""
+    """(3,) m movement of positions by this error of the scale (logarithm) (root mean square)."""
     return apart * _spread(asked) * np.ones(3)
 
 
@@ -203,7 +203,7 @@ def _spread(asked: Question) -> float:
 
 
 def _own_trend(asked: Question, source: Source) -> Trend | None:
-    """A trend in the residuals of positions to their own fit that is beyond what is stated of them."""
+    """A trend in the residuals of positions to their own fit that exceeds their stated errors."""
     order = np.argsort(asked.times[: len(source.residual)], kind="stable")
     sigma = asked.evidence.sigma[: len(order)][order]
     found = [trend(source.residual[order, k], asked.tuning.trend, 3, sigma=sigma[:, k]) for k in range(3)]
