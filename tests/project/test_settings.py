@@ -180,7 +180,7 @@ def test_no_number_is_without_bounds(section, name, field):
         ("[dense]\npartners = [4]", "dense.partners = .4."),
         ("[masks]\nfolder = 5", "masks.folder = 5"),
         ("[candidates]\nsources = []", "candidates.sources"),
-        ("[candidates]\npairs_file = 'p.txt'", "pairs_file is given, but sources = auto does not read it"),
+        ("[candidates]\npairs_file = 'p.txt'", "pairs_file is given, but sources = auto does not use it"),
         ("[evaluate]\nreference_origin = [139, 35, 0]", "evaluate.reference_origin.0 = 139"),
         ("a = " + "[" * 99999, "not valid TOML"),
     ],

@@ -70,11 +70,11 @@ def arm_text(fit: Fit, evidence: Evidence, tuning: WorldTuning) -> str:
             "headings, such as a return pass): the antenna is assumed to be at the reference camera"
         )
     x, y, z = fit.arm.place
-    text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, sigma {plan:.2f} m in plan"
+    text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
     if height > open_m:
         text += (
             "; its height cannot be separated from the height of the world (it is assumed to be that of the camera, "
-            "sigma 1 m): measure the antenna's height above the cameras where heights matter"
+            "to within 1 m): measure the antenna's height above the cameras where heights matter"
         )
     return text + "; a receiver whose positions jump between the passes has the same effect"
 
