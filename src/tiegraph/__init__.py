@@ -18,15 +18,17 @@ from typing import TYPE_CHECKING, Any
 from tiegraph.__version__ import __version__
 
 if TYPE_CHECKING:
+    from tiegraph import arrays
     from tiegraph.api import Project
     from tiegraph.api import open_project as open
     from tiegraph.scene.pairs import Pairs
     from tiegraph.scene.results import Cloud
     from tiegraph.scene.scene import Scene
 
-__all__ = ["Cloud", "Pairs", "Project", "Scene", "__version__", "open"]
+__all__ = ["Cloud", "Pairs", "Project", "Scene", "__version__", "arrays", "open"]
 
 _PLACES = {
+    "arrays": ("tiegraph.arrays", ""),
     "open": ("tiegraph.api", "open_project"),
     "Project": ("tiegraph.api", "Project"),
     "Scene": ("tiegraph.scene.scene", "Scene"),
@@ -42,9 +44,10 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     module, attribute = _PLACES[name]
-    return getattr(import_module(module), attribute)
+    found = import_module(module)
+    return getattr(found, attribute) if attribute else found
 
 
 def __dir__() -> list[str]:
     """Names that are loaded when first used are shown all the same."""
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

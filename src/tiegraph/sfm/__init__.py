@@ -21,7 +21,6 @@ weight.
 sigmas are estimated (``covariance``), and ``sfm.world`` places the model.
 
 **The model in formulas.** Unknowns: pose (R_f, c_f) of each frame, extrinsics E_s, lens k_s and, where cameras fire
-apart, time tau_s of each sensor, points X_j; in the world the similarity (s, R, t), the antenna a in the rig frame, the
 apart, time tau_s of each sensor, points X_j; in the world the similarity (s, R, t), the antenna a in the rig frame,
 the clock offset delta of the receiver, and the error q that all its positions share. The observations and their
 errors:

@@ -1,0 +1,103 @@
+"""The engines with arrays, on a rendered corridor with its truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import tiegraph
+from tiegraph import arrays
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from worlds import Survey, make_survey
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Survey:
+    return make_survey(tmp_path_factory.mktemp("arrays"), passes=("up",), frames=6, size=(256, 192), seed=3)
+
+
+def port(survey: Survey) -> tuple[list[str], list[np.ndarray]]:
+    """The images of the camera that looks to port, RGB."""
+    names = sorted(n for n in survey.cam_from_world if "/cam0/" in n)
+    camera = survey.rig.sensors[0].camera
+    return names, [survey.world.render(camera, survey.cam_from_world[n])[..., ::-1].copy() for n in names]
+
+
+def test_matches_are_those_of_the_true_poses(survey: Survey) -> None:
+    names, images = port(survey)
+    camera = survey.rig.sensors[0].camera
+    a, b = arrays.features(images[0]), arrays.features(images[1])
+    found = arrays.match(a, b, (camera, camera))
+    assert 50 < len(found.inliers) <= len(found.tentative) and str(len(found.inliers)) in repr(found)
+    relative = survey.cam_from_world[names[1]] @ transforms.invert(survey.cam_from_world[names[0]])
+    turned = found.geometry.cam2_from_cam1.rotation.matrix() @ relative[:3, :3].T
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 1
+    half = np.zeros(images[0].shape[:2], bool)
+    half[:, :128] = True
+    kept = arrays.features(images[0], half).keypoints
+    assert 10 < len(kept) < len(a) and kept[:, 0].max() <= 128
+
+
+def test_neighbours_are_candidates(survey: Survey) -> None:
+    _, images = port(survey)
+    for ordered in (True, False):
+        pairs = arrays.candidates(images, ordered=ordered, camera=survey.rig.sensors[0].camera)
+        assert {(k, k + 1) for k in range(5)} <= set(zip(pairs.i.tolist(), pairs.j.tolist()))
+
+
+def test_depth_maps_and_their_cloud_lie_on_the_surface(survey: Survey) -> None:
+    names, images = port(survey)
+    camera = survey.rig.sensors[0].camera
+    k = camera.calibration_matrix()
+    use = np.ones(images[0].shape[:2], bool)
+    views = [
+        arrays.DenseView(n, image[..., ::-1].copy(), use, k, survey.cam_from_world[n])
+        for n, image in zip(names, images)
+    ]
+    maps = [arrays.depth(views[m], [views[m - 1], views[m + 1]], 1.5, 12.0) for m in (1, 2)]
+    for m, found in zip((1, 2), maps):
+        true = survey.world.depth_m(camera, survey.cam_from_world[names[m]])
+        off = np.abs(found.depth_m - true) / found.sigma_m
+        known = np.isfinite(off)
+        assert known.mean() > 0.4 and 0.1 < np.median(off[known]) < 1.5
+    cloud = arrays.fuse_depth(maps, images[1:3])
+    true = survey.world.depth_m(camera, survey.cam_from_world[names[1]])
+    v, u = np.mgrid[:192, :256] + 0.5
+    rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], axis=-1) * true[..., None]
+    surface = transforms.apply(transforms.invert(survey.cam_from_world[names[1]]), rays[np.isfinite(true)])
+    judged = arrays.compare_clouds(cloud, surface)
+    assert 0.0005 < abs(judged.differences.summary()["spread m"]) < 0.1 and np.ptp(cloud.rgb) > 100
+    moved = arrays.compare_clouds(cloud.xyz_m, surface + [0, 0.2, 0])
+    assert 0.1 < abs(moved.differences.summary()["median m"] - judged.differences.summary()["median m"]) < 0.3
+
+
+def test_masks_are_learnt_from_the_images_of_a_camera(survey: Survey) -> None:
+    _, images = port(survey)
+    for image in images:
+        image[160:, 64:192] = 40  # a platform that stands still in the image
+    classes = arrays.learn_masks(images)
+    assert [c.shape for c in classes] == [i.shape[:2] for i in images]
+    assert all(0.5 < np.mean(c[:140] == 0) for c in classes)
+
+
+@pytest.mark.slow
+def test_a_model_of_arrays(survey: Survey) -> None:
+    _, images = port(survey)
+    model = arrays.reconstruct(images)
+    assert model.num_reg_images() == 6 and sorted(i.name for i in model.images.values())[0] == "000000.png"
+
+
+def test_bad_arrays_are_named() -> None:
+    with pytest.raises(InputError, match=r"\(4, 4, 2\) float64"):
+        arrays.features(np.zeros((4, 4, 2)))
+    with pytest.raises(InputError, match="no image"):
+        arrays.candidates([])
+    with pytest.raises(InputError, match="0 < near < far"):
+        arrays.depth(None, [], 2.0, 1.0)  # type: ignore[arg-type]
+
+
+def test_what_the_package_shows() -> None:
+    assert set(dir(tiegraph)) == set(tiegraph.__all__) and "arrays" in dir(tiegraph)
+    assert all(hasattr(tiegraph, name) for name in tiegraph.__all__)
+    assert set(dir(arrays)) >= set(arrays.__all__)
