@@ -43,6 +43,7 @@ from tiegraph.network.candidates import find_candidates
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
+from tiegraph.plugins import chosen
 from tiegraph.scene.cloudchunks import points_of
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud, DepthMap
@@ -189,7 +190,7 @@ def depth(
     if not 0 < near < far:
         raise InputError(f"depths from {near:g} to {far:g} are no range: 0 < near < far is needed")
     settings = settings or DenseSettings()
-    engine = ENGINES[installed(settings.engine)[0]]
+    engine = chosen("dense", installed(settings.engine)[0], ENGINES)
     return with_normals(engine(reference, partners, DepthRange(near, far), settings, DenseTuning()))
 
 

@@ -34,6 +34,7 @@ _PYDANTIC = (  # what it adds to a message that says enough
     (r" For further information visit \S+", ""),
     (r"Error parsing (?:settings\.)?([\w.]+): \d+ validation errors? for \w+ ", r"\1."),
     (r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r" (given: \1)"),
+    (r"Value error, ", ""),
 )
 
 

@@ -12,7 +12,7 @@ from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view
-from tiegraph.errors import choose
+from tiegraph.plugins import chosen
 from tiegraph.scene.results import DepthMap, row_strips
 
 
@@ -24,10 +24,10 @@ def depth_map(
     ``threads`` limits OpenCV in this process. Raises InputError for an image that cannot be read.
     """
     cv2.setNumThreads(threads)
-    engine = choose("dense engine", installed(settings.engine)[0], ENGINES)
+    engine = chosen("dense", installed(settings.engine)[0], ENGINES)
     reference = load_view(plan.view, images, masks, settings)
     partners = [load_view(view, images, masks, settings) for view in plan.partners]
-    return engine(reference, partners, plan.depth_range, settings, tuning)  # type: ignore[operator]
+    return engine(reference, partners, plan.depth_range, settings, tuning)  # type: ignore[no-any-return]
 
 
 def confirmed_map(

@@ -126,8 +126,9 @@ def installed(name: str) -> tuple[str, str]:
 
 
 def matched_by(settings: DenseSettings, tuning: Tuning) -> str:
-    """What matches the pairs in this process: OpenCV, or a kernel of tsgm."""
-    return "OpenCV" if installed(settings.engine)[0] == "sgbm" else kernel_in_use(tuning.tsgm)
+    """What matches the pairs in this process: OpenCV, a kernel of tsgm, or a plug-in."""
+    name = installed(settings.engine)[0]
+    return kernel_in_use(tuning.tsgm) if name == "tsgm" else {"sgbm": "OpenCV"}.get(name, name)
 
 
 def most_volume_bytes(size: tuple[int, int], tuning: Tuning) -> int:

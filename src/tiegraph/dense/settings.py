@@ -1,16 +1,19 @@
 """Settings of the dense stage."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section
+
+EngineName = Literal["tsgm", "sgbm"]
 
 
 class DenseSettings(Section):
     """Depth maps by matching each image with a few well placed partners."""
 
-    engine: Literal["tsgm", "sgbm"] = "tsgm"
+    engine: Annotated[EngineName | str, or_plugin("dense", EngineName)] = "tsgm"
     """Dense matcher: tsgm = own hierarchical semi-global matching (paper 004); sgbm = OpenCV's."""
     paths: Literal[3, 5, 8] = 3
     """Directions in which sgbm gathers its costs: 5 takes a quarter, 8 twice more time, for little gain."""

@@ -1,10 +1,13 @@
 """Settings of the stages preview, features and match."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section
+
+EngineName = Literal["opencv", "colmap"]
 
 
 class PreviewSettings(Section):
@@ -26,7 +29,7 @@ __all__ = ["FeaturesSettings", "MatchSettings", "PreviewSettings"]
 class FeaturesSettings(Section):
     """Features at full resolution, for the model."""
 
-    engine: Literal["opencv", "colmap"] = "opencv"
+    engine: Annotated[EngineName | str, or_plugin("features", EngineName)] = "opencv"
     """Who extracts SIFT: opencv (fast), or colmap (its own extractor, several times slower on a CPU)."""
     max_features: int = Field(12288, ge=64, le=65536)
     """Most features kept in an image of 4.5 megapixels or more, the clearest first; smaller ones keep fewer in

@@ -15,16 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError, choose
+from tiegraph.errors import InputError
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.tuning import ContrastTuning, SiftTuning, Tuning
 from tiegraph.gpu import device, on_gpu
+from tiegraph.plugins import chosen
 from tiegraph.scene.decoding import read_pixels
 
 # COLMAP stores root-SIFT scaled by 512 in one byte (colmap/feature/utils.cc); its matcher counts on that length.
@@ -166,7 +166,7 @@ def extract_image(
 
     Raises InputError for an image or mask that is missing, unreadable, or of different sizes.
     """
-    extractor = cast(Extractor, choose("feature engine", settings.engine, EXTRACTORS))
+    extractor: Extractor = chosen("features", settings.engine, EXTRACTORS)
     gray = evened(read_gray(image), tuning.contrast)
     return extractor(gray, None if mask is None else read_mask(mask, gray.shape), settings, tuning.sift)
 

@@ -5,13 +5,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section, user_path
+
+SourceName = Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "model", "folder", "none"]
 
 
 class MasksSettings(Section):
     """Which pixels of an image may become features and depths."""
 
-    source: Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "model", "folder", "none"] = "auto"
+    source: Annotated[SourceName | str, or_plugin("masks", SourceName)] = "auto"
     """Where masks come from: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
     parts of first and last frame, sky, overexposure (paper 001); meguro2024 = equal parts of first and last frame
     (paper 000); sky = only sky and overexposure; model = a segmentation model of yours; folder = masks of yours;

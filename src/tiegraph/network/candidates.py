@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.errors import choose
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.passes import MatchCache, Pass, find_passes
 from tiegraph.network.rig.check import check_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import SOURCES, Context, Descriptors, Proposal, automatic
 from tiegraph.network.tuning import Tuning
+from tiegraph.plugins import chosen
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -92,7 +92,7 @@ def _propose(context: Context) -> Proposal:
     table = {"auto": automatic, **SOURCES}
     merged = Proposal(Pairs.empty())
     for name in dict.fromkeys(context.settings.sources):
-        found = choose("pair source", name, table)(context)  # type: ignore[operator]
+        found = chosen("pairs", name, table)(context)
         merged = merged | found
     return merged
 

@@ -1,10 +1,11 @@
 """Settings of the stages candidates, coarse and network."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section, user_path
 
 SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses", "retrieval"]
@@ -13,7 +14,7 @@ SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses
 class CandidatesSettings(Section):
     """Sources of candidate pairs, and their tests."""
 
-    sources: tuple[SourceName, ...] = Field(("auto",), min_length=1)
+    sources: tuple[Annotated[SourceName | str, or_plugin("pairs", SourceName)], ...] = Field(("auto",), min_length=1)
     """Pair sources, merged; auto: sequence and offsets for passes, poses where priors are known, exhaustive for few
     loose photographs, previews for many."""
     pairs_file: Path | None = user_path("file")

@@ -16,6 +16,7 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, MaskSource, explain_source
 from tiegraph.masks.tuning import Tuning
 from tiegraph.pipeline.files import class_shares, classes_path, mask_path, read_mask, save_png, scanned
+from tiegraph.plugins import chosen
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.decoding import opaque
@@ -85,7 +86,7 @@ _LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both
 
 def _source(name: str) -> MaskSource:
     papers.plug_in(papers.MASKS, name, SOURCES)
-    return SOURCES[name]
+    return chosen("masks", name, SOURCES)  # type: ignore[no-any-return]
 
 
 def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
