@@ -44,6 +44,11 @@ def test_neighbours_are_candidates(survey: Survey) -> None:
     for ordered in (True, False):
         pairs = arrays.candidates(images, ordered=ordered, camera=survey.rig.sensors[0].camera)
         assert {(k, k + 1) for k in range(5)} <= set(zip(pairs.i.tolist(), pairs.j.tolist()))
+    assert repr(pairs) == f"Pairs({len(pairs)} kept of {len(pairs)})" and "<td>used</td>" in pairs._repr_html_()
+    names = tuple("abcdef")
+    graph, rows = pairs.to_networkx(names), pairs.to_pandas(names)
+    assert set(graph) == set(names) and graph.number_of_edges() == len(rows) == len(pairs)
+    assert graph["a"]["b"]["score"] == rows.query("image1 == 'a' and image2 == 'b'").score.item()
 
 
 def test_depth_maps_and_their_cloud_lie_on_the_surface(survey: Survey) -> None:
@@ -68,6 +73,8 @@ def test_depth_maps_and_their_cloud_lie_on_the_surface(survey: Survey) -> None:
     surface = transforms.apply(transforms.invert(survey.cam_from_world[names[1]]), rays[np.isfinite(true)])
     judged = arrays.compare_clouds(cloud, surface)
     assert 0.0005 < abs(judged.differences.summary()["spread m"]) < 0.1 and np.ptp(cloud.rgb) > 100
+    assert f"{len(cloud)} points" in repr(cloud) and "% with a depth" in repr(maps[0])
+    assert all('<img src="data:image/png;base64,' in shown._repr_html_() for shown in (cloud, *maps))
     moved = arrays.compare_clouds(cloud.xyz_m, surface + [0, 0.2, 0])
     assert 0.1 < abs(moved.differences.summary()["median m"] - judged.differences.summary()["median m"]) < 0.3
 

@@ -8,11 +8,13 @@ import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
+from tiegraph.scene.notebook import table
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Arrays, Columns, freeze
 from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, split_cells, text_of
@@ -47,7 +49,7 @@ def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
     return i.astype(np.int64) << 32 | j
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Pairs(Columns, Arrays):
     """P pairs of images i < j, sorted and unique; columns (P,), read-only.
 
@@ -77,6 +79,12 @@ class Pairs(Columns, Arrays):
         )
         if np.any(self.i >= self.j) or np.any(np.diff(self.key) <= 0):
             raise ValueError("pairs must have i < j and be sorted and unique: build them with Pairs.make")
+
+    def __repr__(self) -> str:
+        return f"Pairs({int(np.sum(self.dropped == 0))} kept of {len(self)})"
+
+    def _repr_html_(self) -> str:
+        return table(repr(self), self.funnel().items())
 
     @property
     def key(self) -> np.ndarray:
@@ -175,6 +183,25 @@ class Pairs(Columns, Arrays):
         """All rows with names, sources, reason and numbers."""
         heads = ["image1", "image2", "source", "dropped", *NUMBERS, "inliers"]
         return csv_text(heads, self._rows(names))
+
+    def to_pandas(self, names: tuple[str, ...]) -> Any:
+        """All rows as a ``pandas.DataFrame`` with names, sources and reason in words."""
+        import pandas as pd
+
+        by = ["+".join(s for k, s in enumerate(SOURCES) if bits >> k & 1) for bits in self.source.tolist()]
+        ends = {f"image{k + 1}": [names[n] for n in end.tolist()] for k, end in enumerate((self.i, self.j))}
+        numbers = {n: getattr(self, n) for n in ("inliers", *NUMBERS)}
+        return pd.DataFrame({**ends, "source": by, "dropped": [REASONS[k] for k in self.dropped.tolist()], **numbers})
+
+    def to_networkx(self, names: tuple[str, ...]) -> Any:
+        """The kept pairs as a ``networkx.Graph``: images are nodes, pairs are edges with the columns of the table."""
+        import networkx as nx
+
+        graph = nx.Graph()
+        graph.add_nodes_from(names)
+        for row in self.kept().to_pandas(names).to_dict("records"):
+            graph.add_edge(row.pop("image1"), row.pop("image2"), **row)
+        return graph
 
     def _rows(self, names: tuple[str, ...]) -> Iterator[list]:
         columns = [self.i, self.j, self.source, self.dropped, self.inliers, *(getattr(self, n) for n in NUMBERS)]

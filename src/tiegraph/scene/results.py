@@ -18,11 +18,12 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.notebook import cloud_from_above, depth_colours, picture
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DepthMap:
     """Depth along the optical axis of one undistorted image.
 
@@ -43,8 +44,20 @@ class DepthMap:
     support: np.ndarray | None = None
     sigma_px: float = 0.3
 
+    def __repr__(self) -> str:
+        known = np.isfinite(self.depth_m)
+        height, width = known.shape
+        said = f"DepthMap({self.image}: {width} x {height} pixels, {known.mean():.0%} with a depth"
+        if not known.any():
+            return said + ")"
+        depth, sigma = (float(np.median(v[known])) for v in (self.depth_m, self.sigma_m))
+        return f"{said}, median {depth:.3g}, its sigma {sigma:.2g})"
 
-@dataclass(frozen=True)
+    def _repr_html_(self) -> str:
+        return picture(repr(self), depth_colours(self.depth_m))
+
+
+@dataclass(frozen=True, repr=False)
 class Cloud(Columns):
     """M points: xyz_m (M, 3) f8 world, rgb (M, 3) u1, normal (M, 3) f4, sigma_m (M,) f4, views (M,) u1."""
 
@@ -54,6 +67,15 @@ class Cloud(Columns):
     sigma_m: np.ndarray
     views: np.ndarray
     origin: Origin | None = None
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "Cloud(no point)"
+        size = " x ".join(f"{v:.3g}" for v in np.ptp(self.xyz_m, axis=0))
+        return f"Cloud({len(self)} points, {size}, median sigma {np.median(self.sigma_m):.2g})"
+
+    def _repr_html_(self) -> str:
+        return picture(repr(self), cloud_from_above(self.xyz_m, self.rgb)) if len(self) else repr(self)
 
     def moved(self, pose: np.ndarray) -> Cloud:
         """The points and their normals by a rigid motion (4, 4)."""
