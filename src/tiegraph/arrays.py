@@ -230,5 +230,5 @@ def _written(images: Sequence[np.ndarray], folder: Path) -> list[Path]:
     paths = [folder / f"{k:06d}.png" for k in range(len(images))]
     for path, image in zip(paths, images):
         _grey(image)
-        cv2.imwrite(str(path), image if image.ndim == 2 else image[..., ::-1])
+        path.write_bytes(cv2.imencode(".png", image if image.ndim == 2 else image[..., ::-1])[1].tobytes())
     return paths
