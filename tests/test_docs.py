@@ -125,3 +125,9 @@ def test_every_package_is_a_chapter_of_the_documentation():
 def test_the_tests_of_every_situation_are_there():
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "docs" / "situations.md").read_text())
     assert len(named) > 50 and [f"{p}::{n}" for p, n in named if f"def {n}(" not in (ROOT / p).read_text()] == []
+
+
+def test_messages_of_the_troubleshooting_page_are_those_of_the_program():
+    quoted = re.findall(r'^\| "([^"]+)"', (ROOT / "docs" / "troubleshooting.md").read_text(), re.M)
+    source = "\n".join(p.read_text() for p in (ROOT / "src" / "tiegraph").rglob("*.py")).lower()
+    assert len(quoted) > 5 and [q for q in quoted if q.lower() not in source] == []
