@@ -10,6 +10,7 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
+from tiegraph.pipeline.serve import describe
 from tiegraph.scan.cameras import WORDS
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.gcp import FORMS
@@ -59,26 +60,6 @@ def hints(scene: Scene) -> list[str]:
         columns = "columns time or image, lat, lon, height, if known sigma_h, sigma_v"
         lines.append(f"  --gnss FILE: positions; {columns}; or NMEA, .pos, GPX, KML, geo.txt, SBET, MRK, a ROS bag")
     return [*lines, f"  --gcp FILE: control points; {FORMS}"]
-
-
-def describe(scene: Scene) -> list[str]:
-    """What a scan found, in lines for people."""
-    lines = [
-        f"{len(scene)} images in {scene.frames} frames; passes: "
-        f"{', '.join(scene.sequences) or 'none (loose photographs)'}"
-    ]
-    for rig in scene.rigs:
-        for sensor in rig.sensors:
-            camera = sensor.camera
-            seen = (
-                f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px"
-                if camera
-                else "no image"
-            )
-            lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
-    lines += [f"  . {note}" for note in scene.notes]
-    lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]
-    return lines
 
 
 def _write_rigs(scene: Scene, folder: Path) -> list[Path]:

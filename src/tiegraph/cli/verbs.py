@@ -74,6 +74,7 @@ VERBS: dict[str, Verb] = {
     "stations": Verb("clouds of single shots without poses put into one frame and merged to one cloud", "stations"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
     "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
+    "serve": Verb("a page in the browser to hand images over, start and follow a run, and read its report", "serve"),
     "mark": Verb("a page in the browser to mark control points in the images", "mark"),
     "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "lidar"),
     "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "watch"),

@@ -22,7 +22,7 @@ from tiegraph.pipeline.mark import ChangedMeanwhile, Marking
 from tiegraph.watch.view import page
 
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
-_HTML = "text/html; charset=utf-8"
+HTML = "text/html; charset=utf-8"
 _POLICY = (
     "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -34,7 +34,7 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, port: int, handler: type["_Handler"]) -> None:
+    def __init__(self, port: int, handler: type["Handler"]) -> None:
         try:
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
@@ -51,20 +51,21 @@ class PageServer(ThreadingHTTPServer):
         return f"http://{self.hosts[0]}/"
 
 
-class _Handler(BaseHTTPRequestHandler):
+class Handler(BaseHTTPRequestHandler):
     """What both pages answer alike."""
 
     server: PageServer
     protocol_version = "HTTP/1.1"
 
-    def _allowed(self, changes: bool = False) -> bool:
+    def _allowed(self, changes: str = "") -> bool:
+        """Whether a request comes from this page; ``changes``: the type of what it sends to change something."""
         hosts = self.server.hosts
         good = self.headers.get("Host", "") in hosts
         origin = self.headers.get("Origin")
-        if origin is not None or changes:
+        if origin is not None or changes != "":
             good &= origin in [f"http://{h}" for h in hosts]
         if changes:
-            good &= self.headers.get("Content-Type", "").partition(";")[0] == "application/json"
+            good &= self.headers.get("Content-Type", "").partition(";")[0] == changes
         if not good:
             self.close_connection = True
             self._refuse(HTTPStatus.FORBIDDEN, "asked from elsewhere")
@@ -109,7 +110,7 @@ class WatchServer(PageServer):
         self.server_close()
 
 
-class _WatchHandler(_Handler):
+class _WatchHandler(Handler):
     server: WatchServer
 
     def do_GET(self) -> None:
@@ -118,7 +119,7 @@ class _WatchHandler(_Handler):
             return
         asked = self.path.partition("?")[0]
         if asked == "/":
-            self._send(page(None), _HTML)
+            self._send(page(None), HTML)
         elif asked == "/state.json":
             self._send(self.server.state, "application/json")
         else:
@@ -133,7 +134,7 @@ class MarkServer(PageServer):
         self.session, self.lock = session, threading.Lock()
 
 
-class _MarkHandler(_Handler):
+class _MarkHandler(Handler):
     server: MarkServer
 
     def do_GET(self) -> None:
@@ -144,7 +145,7 @@ class _MarkHandler(_Handler):
         query = {name: values[-1] for name, values in parse_qs(asked.query).items()}
         try:
             if asked.path == "/":
-                self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), _HTML)
+                self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), HTML)
             elif asked.path == "/state":
                 with self.server.lock:
                     self._json(self.server.session.state())
@@ -162,7 +163,7 @@ class _MarkHandler(_Handler):
 
     def do_POST(self) -> None:
         """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
-        if not self._allowed(changes=True):
+        if not self._allowed("application/json"):
             return
         length = self.headers.get("Content-Length", "")
         if not length.isdigit() or int(length) > 4096 or urlsplit(self.path).path != "/mark":  # bytes of a mark

@@ -1,0 +1,227 @@
+"""Glue of serving: one survey in the browser: its files arrive, a scan says what they are, a run is followed, stopped
+and gone on with. The run is a process of its own, the same that the terminal would start."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from tiegraph.errors import InputError, TiegraphError
+from tiegraph.pipeline import STAGES
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.names import inside
+from tiegraph.scene.scene import Scene
+
+_CHUNK = 1 << 20  # bytes of an upload read at once
+_ROOM = 1 << 28  # bytes of the disk that uploads leave free
+_MOST_PLACES = 3000  # drawn on the map
+_LAST_LINES = 200
+# What the page may set: the option of `tiegraph run`, and whether it may be the name of a file that was handed over.
+OPTIONS = {
+    "rig": True, "camera": True, "gnss": True, "times": True, "gcp": True, "marks": True, "trajectory": True,
+    "start": True, "scan.crs": False, "scan.layout": False, "preset": False, "tolerance": False,
+}  # fmt: skip
+_ONLY_FILES = ("gnss", "times", "gcp", "marks", "start")
+_PICTURES = ("candidates", "network", "coarse", "design", "products", "evaluate")
+
+
+class Readable(Protocol):
+    """What bytes are read from."""
+
+    def read(self, size: int, /) -> bytes:
+        """At most so many bytes; none at the end."""
+
+
+class Session:
+    """A folder of images that may still grow, its run folder, and the process that works on them, if one does."""
+
+    def __init__(self, images: Path, out: Path) -> None:
+        self.images, self.out = images, out
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._lines: list[str] = []
+        self._stages: dict[str, dict[str, Any]] = {}
+        self._asked: dict[str, str] = {}
+        self._stopped = False
+        images.mkdir(parents=True, exist_ok=True)
+
+    def receive(self, name: str, source: Readable, length: int) -> bool:
+        """Write a file of so many bytes below the folder of images; False if the same is there already.
+
+        Raises InputError for a name that leads elsewhere, for another file of that name, for a file that ends early and
+        for one that the disk has no room for."""
+        target = inside(self.images, name)
+        if target.exists():
+            if target.is_file() and target.stat().st_size == length:
+                _skip(source, length)
+                return False
+            raise InputError(f"{name}: another file of this name is there already; it is kept. Rename yours")
+        if length > shutil.disk_usage(self.images).free - _ROOM:
+            raise InputError(f"{name}: {length / 1e9:.2g} GB have no room on the disk; free some space")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(target) as temporary, open(temporary, "wb") as file:
+            if _copy(source, length, file.write) < length:
+                raise InputError(f"{name}: the connection ended before the file did; hand it over again")
+        return True
+
+    def start(self, options: dict[str, str], until: str | None) -> None:
+        """Start `tiegraph run` with these options; ``until``: the last stage. Raises InputError for an option that
+        cannot be set here, for a file that was not handed over, and while a run goes on."""
+        words = [word for name, value in options.items() if value for word in self._option(name, value)]
+        command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(self.images), "-o", str(self.out), "--json"]
+        with self._lock:
+            if self.running:
+                raise InputError("a run goes on: stop it first")
+            forget = [w for n in self._asked if not options.get(n) for w in ("--unset", _SETTING.get(n, n))]
+            self._asked = {n: v for n, v in options.items() if v}
+            self._lines, self._stages, self._stopped = [], {}, False
+            self._process = subprocess.Popen(
+                [*command, *words, *forget, *([] if until is None else ["--until", until])],
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True,
+                encoding="utf-8", errors="replace", start_new_session=True,
+            )  # fmt: skip
+            threading.Thread(target=self._listen, args=(self._process,), daemon=True, name="serve-run").start()
+
+    def _option(self, name: str, value: str) -> list[str]:
+        if name not in OPTIONS:
+            raise InputError(f"{name} cannot be set here: give it to `tiegraph run` in a terminal")
+        if OPTIONS[name]:
+            with suppress(InputError):
+                if (path := inside(self.images, value)).exists():
+                    return [f"--{name}", str(path)]
+            if name in _ONLY_FILES:
+                raise InputError(f"{name}: {value} was not handed over; drop the file on the page first")
+        if value.startswith("-") or "/" in value or os.sep in value:
+            raise InputError(f"{name}: {value!r} is neither a file that was handed over nor a value")
+        return [f"--{name}", value]
+
+    def stop(self) -> None:
+        """End the run as Ctrl-C does: finished items are kept."""
+        with self._lock:
+            if self._process is not None and self.running:
+                self._stopped = True
+                self._process.send_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        """End the run and wait for it."""
+        self.stop()
+        if self._process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(30)
+
+    @property
+    def running(self) -> bool:
+        """Whether a run goes on."""
+        return self._process is not None and self._process.poll() is None
+
+    def _listen(self, process: "subprocess.Popen[str]") -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            try:
+                event = json.loads(line)
+                self._stages.setdefault(event["stage"], {}).update(event)
+            except (ValueError, TypeError, KeyError):
+                if line.strip() and not line.startswith("{"):
+                    self._lines = [*self._lines, line.rstrip()][-_LAST_LINES:]
+
+    def state(self) -> dict[str, Any]:
+        """All that the page shows."""
+        with self._lock:
+            process, stages, lines = self._process, dict(self._stages), list(self._lines)
+        code = None if process is None else process.poll()
+        return {
+            "images": str(self.images), "out": str(self.out), "files": self._files(), "running": process is not None
+            and code is None, "code": code, "stopped": self._stopped, "asked": self._asked, "lines": lines,
+            "stages": [{"stage": s.name, **_told(self._receipt(s.name) | stages.get(s.name, {}))} for s in STAGES],
+            "found": self._found(), "pictures": self.pictures(), "report": (self.out / "report.html").is_file(),
+        }  # fmt: skip
+
+    def _receipt(self, stage: str) -> dict[str, Any]:
+        """What a stage of this or an earlier run says of itself."""
+        try:
+            return dict(json.loads((self.out / "receipts" / f"{stage}.json").read_text()))
+        except (OSError, ValueError, TypeError):
+            return {}
+
+    def _files(self) -> dict[str, Any]:
+        """How many files were handed over, and those that an option may name."""
+        names = [p.relative_to(self.images).as_posix() for p in self.images.rglob("*") if p.is_file()]
+        others = [n for n in names if Path(n).suffix.lower() in _TABLES]
+        return {"count": len(names), "tables": sorted(others)[:100]}
+
+    def _found(self) -> dict[str, Any] | None:
+        """What the scan found: lines, and places of frames on a plan; None before there is a scan."""
+        try:
+            scene = Scene.from_json((self.out / "scene.json").read_text())
+        except (OSError, ValueError, TiegraphError):
+            return None
+        place = scene.world_from_rig[:, :2, 3]
+        known = np.flatnonzero(np.isfinite(place).all(axis=1))
+        known = known[:: max(len(known) // _MOST_PLACES, 1)]
+        places = [[round(float(x), 2), round(float(y), 2), int(scene.sequence[k])] for k, (x, y) in
+                  zip(known, place[known])]  # fmt: skip
+        return {"lines": describe(scene), "places": places, "passes": list(scene.sequences)}
+
+    def pictures(self) -> list[str]:
+        """Pictures of the run, by their path below its folder."""
+        found = [p for folder in _PICTURES for p in (self.out / folder).rglob("*") if p.suffix in (".png", ".jpg")]
+        return [p.relative_to(self.out).as_posix() for p in sorted(found) if p.is_file()][:60]
+
+
+_SETTING = {"gcp": "georef.gcp", "marks": "georef.marks", "tolerance": "evaluate.tolerance_m"}
+_TABLES = (
+    ".csv", ".txt", ".toml", ".json", ".yaml", ".yml", ".xml", ".nmea", ".pos", ".gpx", ".kml", ".kmz", ".mrk", ".tum",
+    ".sbet", ".out",
+)  # fmt: skip
+
+
+def describe(scene: Scene) -> list[str]:
+    """What a scan found, in lines for people."""
+    lines = [
+        f"{len(scene)} images in {scene.frames} frames; passes: "
+        f"{', '.join(scene.sequences) or 'none (loose photographs)'}"
+    ]
+    for rig in scene.rigs:
+        for sensor in rig.sensors:
+            camera = sensor.camera
+            seen = (
+                f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px"
+                if camera
+                else "no image"
+            )
+            lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
+    lines += [f"  . {note}" for note in scene.notes]
+    lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]
+    return lines
+
+
+def _told(event: dict[str, Any]) -> dict[str, Any]:
+    """What the page needs of the last event of a stage."""
+    kind = {"started": "runs", "finished": "done", "skipped": "up to date", "lost": "nothing came of it"}
+    counts = ", ".join(f"{v:g} {k.replace('_', ' ')}" for k, v in event.get("counts", {}).items()
+                       if isinstance(v, (int, float)))  # fmt: skip
+    said = {"is": kind.get(event.get("event", ""), ""), "seconds": event.get("seconds"), "counts": counts}
+    warnings = [event["why"]] if "why" in event else list(event.get("contradictions", ()))
+    return {**said, "warnings": warnings, "notes": list(event.get("notes", ()))}
+
+
+def _copy(source: Readable, length: int, write: Callable[[bytes], Any]) -> int:
+    """Bytes read and written, at most ``length``."""
+    done = 0
+    while done < length and (part := source.read(min(_CHUNK, length - done))):
+        write(part)
+        done += len(part)
+    return done
+
+
+def _skip(source: Readable, length: int) -> None:
+    _copy(source, length, len)
