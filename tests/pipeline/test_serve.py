@@ -138,6 +138,7 @@ def test_a_survey_from_its_images_to_a_stage_and_on(served: ServeServer, tmp_pat
     until(served, lambda s: any(p["stage"] == "preview" and p["is"] == "done" for p in s["stages"]))
     assert ask(served, "POST", "stop", b"{}")[0] == 200
     state = until(served, lambda s: not s["running"])
+    assert Session(served.session.images, tmp_path / "out").state()["asked"] == {"preset": "fast"}
     assert state["stopped"] and "run the same command again" in state["lines"][-1]
     assert not state["report"] and (tmp_path / "out" / "receipts" / "preview.json").exists()
 

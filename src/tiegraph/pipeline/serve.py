@@ -15,8 +15,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tiegraph.errors import InputError, TiegraphError
+from tiegraph.errors import InputError, SettingsError, TiegraphError
 from tiegraph.pipeline import STAGES
+from tiegraph.project.folder import SETTINGS
+from tiegraph.project.settings import SETTING_OF, read_file
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.names import inside
 from tiegraph.scene.scene import Scene
@@ -50,7 +52,7 @@ class Session:
         self._process: subprocess.Popen[str] | None = None
         self._lines: list[str] = []
         self._stages: dict[str, dict[str, Any]] = {}
-        self._asked: dict[str, str] = {}
+        self._asked = _asked_before(images, out)
         self._stopped = False
         images.mkdir(parents=True, exist_ok=True)
 
@@ -81,7 +83,7 @@ class Session:
         with self._lock:
             if self.running:
                 raise InputError("a run goes on: stop it first")
-            forget = [w for n in self._asked if not options.get(n) for w in ("--unset", _SETTING.get(n, n))]
+            forget = [w for n in self._asked if not options.get(n) for w in ("--unset", ".".join(_STORED.get(n, (n,))))]
             self._asked = {n: v for n, v in options.items() if v}
             self._lines, self._stages, self._stopped = [], {}, False
             self._process = subprocess.Popen(
@@ -177,7 +179,9 @@ class Session:
         return [p.relative_to(self.out).as_posix() for p in sorted(found) if p.is_file()][:60]
 
 
-_SETTING = {"gcp": "georef.gcp", "marks": "georef.marks", "tolerance": "evaluate.tolerance_m"}
+# Where tiegraph.toml has what is no input of a run
+_STORED = {"scan.crs": ("scan", "crs"), "scan.layout": ("scan", "layout"),
+           **{n: SETTING_OF[n] for n in ("gcp", "marks", "tolerance")}}  # fmt: skip
 _TABLES = (
     ".csv", ".txt", ".toml", ".json", ".yaml", ".yml", ".xml", ".nmea", ".pos", ".gpx", ".kml", ".kmz", ".mrk", ".tum",
     ".sbet", ".out",
@@ -207,11 +211,23 @@ def describe(scene: Scene) -> list[str]:
 def _told(event: dict[str, Any]) -> dict[str, Any]:
     """What the page needs of the last event of a stage."""
     kind = {"started": "runs", "finished": "done", "skipped": "up to date", "lost": "nothing came of it"}
-    counts = ", ".join(f"{v:g} {k.replace('_', ' ')}" for k, v in event.get("counts", {}).items()
-                       if isinstance(v, (int, float)))  # fmt: skip
+    numbers = {k.replace("_", " "): v for k, v in event.get("counts", {}).items() if isinstance(v, (int, float))}
+    counts = ", ".join(f"{int(v)} {k}" if v == int(v) else f"{v:.3g} {k}" for k, v in numbers.items())
     said = {"is": kind.get(event.get("event", ""), ""), "seconds": event.get("seconds"), "counts": counts}
     warnings = [event["why"]] if "why" in event else list(event.get("contradictions", ()))
     return {**said, "warnings": warnings, "notes": list(event.get("notes", ()))}
+
+
+def _asked_before(images: Path, out: Path) -> dict[str, str]:
+    """The options that an earlier run of the folder was given, as the page names them."""
+    try:
+        stored = read_file(out / SETTINGS)
+    except SettingsError:
+        return {}
+    values = {name: stored.get(section, {}).get(key) for name, (section, key) in _STORED.items()}
+    values |= {name: stored.get("run", {}).get(name) for name in OPTIONS if name not in values}
+    return {n: Path(str(v)).relative_to(images).as_posix() if Path(str(v)).is_relative_to(images) else str(v)
+            for n, v in values.items() if v not in (None, "")}  # fmt: skip
 
 
 def _copy(source: Readable, length: int, write: Callable[[bytes], Any]) -> int:
