@@ -24,8 +24,8 @@ from tiegraph.watch.view import page
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
 HTML = "text/html; charset=utf-8"
 _POLICY = (
-    "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 
 
