@@ -119,6 +119,8 @@ class Viewed:
     def pick(self, local: np.ndarray) -> dict[str, Any]:
         """The point of the cloud nearest to a local place (3,), JSON-ready: its coordinates, its sigmas, and the images
         that see it with its pixel and whether something hides it there. Raises ValueError where no point is near."""
+        if not np.isfinite(local).all():
+            raise ValueError("not a place")
         place = local + self.middle - self._shift
         step = max(float(np.ptp(self.box, axis=0).max()) * 1e-6, 1e-9)
         for reach in step * 8.0 ** np.arange(6):
