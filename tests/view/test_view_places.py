@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pycolmap
 import pytest
@@ -13,7 +11,7 @@ from tiegraph.pipeline.view import Viewed
 from tiegraph.scene.pairs import Pairs
 from tiegraph.view.layers import cameras, mesh, strung, ties, tinted
 from tiegraph.view.places import Known, coordinates, hidden, nearest, sigmas
-from view.view_world import COUNT, HIGH, K, KNOWN, NAMES, ORIGIN, as_run, cloud, poses
+from view.view_world import COUNT, HIGH, KNOWN, NAMES, ORIGIN, K, as_run, cloud, poses
 
 
 @pytest.fixture(scope="module")

@@ -147,7 +147,7 @@ class Viewed:
         """Rows and columns (2,) f4, and the local places (rows x columns x 3) f4 of a raster."""
         asked = self._sheet(sheet)
         xyz = mesh(_heights(asked.heights, _MESH_PX), asked.frame, self.middle)
-        return np.r_[np.float32(xyz.shape[:2]), xyz.ravel()]
+        return np.r_[np.array(xyz.shape[:2], np.float32), xyz.ravel()]
 
     def picture(self, sheet: int) -> bytes:
         """A PNG of the colours of a raster, transparent where nothing is known."""

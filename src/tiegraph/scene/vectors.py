@@ -58,7 +58,8 @@ _WANTED = {"line": ("LineString", "MultiLineString"), "polygon": ("Polygon", "Mu
 
 def read_shapes(path: Path, kind: str, axes: int = 2) -> Shapes:
     """The lines or polygons (``kind``: line, polygon) of a file: GeoJSON, a CSV of east and north, and what else GDAL
-    reads. ``axes``: 3 keeps the heights of GeoJSON and of GDAL's files. Raises InputError for a file that has none or cannot be read, EngineMissing where it needs pyogrio."""
+    reads. ``axes``: 3 keeps the heights of GeoJSON and of GDAL's files. Raises InputError for a file that has none or
+    cannot be read, EngineMissing where it needs pyogrio."""
     if not path.is_file():
         raise InputError(f"{path} is no file")
     ending = path.suffix.lower()

@@ -1,4 +1,4 @@
-"""What the page draws, in local coordinates (those of the CRS minus the middle of the cloud): cameras, rasters, lines."""
+"""What the page draws in local coordinates, those of the CRS minus the middle of the cloud: cameras, rasters, lines."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
