@@ -19,7 +19,7 @@ const VERTEX = `
   void main() {
     vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
     gl_Position = projectionMatrix * mvPosition;
-    gl_PointSize = clamp(1.3 * size * spacing * perUnit / -mvPosition.z, 1.5, 16.0) ;
+    gl_PointSize = clamp(1.6 * size * spacing * perUnit / -mvPosition.z, 1.5, 24.0);
     float value = look == 1 ? position.z : look == 2 ? sigma : views;
     float share = (value - range.x) / max(range.y - range.x, 1e-9);
     shown = look == 0 ? min(colour * gain, 1.0) : value == value ? texture2D(ramp, vec2(share, 0.5)).rgb : vec3(0.5);
@@ -91,7 +91,6 @@ export class Cloud {
     const axes = [0, 1, 2].map((c) => position.array.filter((_, k) => k % 3 === c).sort());
     this.low = axes.map((v) => quantile(v, 0.005));
     this.high = axes.map((v) => quantile(v, 0.995));
-    this.centre = axes.map((v) => quantile(v, 0.5));
     const known = sigma.array.filter(Number.isFinite).sort();
     const ends = (v, share) => (v.length ? [quantile(v, share), quantile(v, 1 - share)] : [0, 1]);
     this.ranges = { height: ends(axes[2], 0.02), sigma: ends(known, 0.03), images: ends(views.array.slice().sort(), 0.02) };

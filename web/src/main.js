@@ -92,7 +92,8 @@ class Stage {
 
   // From the side of the longer extent, obliquely.
   home() {
-    const { low, high, centre } = this.cloud, size = low.map((v, c) => high[c] - v);
+    const { low, high } = this.cloud, size = low.map((v, c) => high[c] - v);
+    const centre = (this.cloud.centre = low.map((v, c) => (v + high[c]) / 2));
     this.radius = Math.max(Math.hypot(...size) / 2, 1e-6);
     const side = size[0] >= size[1] ? [0.35, -1, 0.75] : [1, -0.35, 0.75];
     this.look(vector(centre).addScaledVector(vector(side).normalize(), 1.9 * this.radius), vector(centre));

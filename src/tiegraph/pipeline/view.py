@@ -1,5 +1,6 @@
 """Glue of the view: a finished run, read for a page that shows it."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -199,8 +200,8 @@ def open_view(run: Run) -> Viewed:
         raise InputError(f"{path} is not there, the run has no cloud yet: tiegraph cloud {run.folder}")
     with reading(path), laspy.open(path) as cloud:
         header = cloud.header
-    found = load_model(run.path("sparse", "world")).images.values()
-    posed = sorted((i for i in found if i.has_pose), key=lambda i: i.name)
+    model = load_model(run.path("sparse", "world"))  # to the end: it owns its cameras
+    posed = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     return Viewed(
         run=run,
@@ -208,7 +209,7 @@ def open_view(run: Run) -> Viewed:
         unit=world_unit(run.folder),
         box=np.array([header.mins, header.maxs]),
         points=header.point_count,
-        images={i.name: (matrix(i.cam_from_world()), i.camera) for i in posed},
+        images={i.name: (matrix(i.cam_from_world()), copy(i.camera)) for i in posed},
         known=Known(inside=inside, placed=placement_error(run.folder)),
     )
 
