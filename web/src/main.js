@@ -228,7 +228,11 @@ function listen(layers, stage, cloud, cameras, planes) {
     Object.assign(by("tip").style, { left: `${x + 14}px`, top: `${y + 10}px` });
   });
   window.addEventListener("keydown", (event) => { if (event.key === "Escape") close(); });
-  by("measure").onchange = () => { by("distance").textContent = ""; };
+  by("unpick").onclick = () => {
+    picks = [];
+    by("picked").hidden = true;
+    stage.mark(picks, false);
+  };
   const linked = location.hash.slice(1).split(",").map(Number);
   if (linked.length === 3 && linked.every(Number.isFinite)) pick(linked.map((v, c) => v - layers.middle[c])).catch(say);
 }

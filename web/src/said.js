@@ -5,12 +5,13 @@ const PATCH = 160; // pixels of an image around a place
 const MOST_PATCHES = 24;
 
 export function sayPlace(found, layers, open) {
-  const row = (name, ...value) => make("tr", {}, make("th", { textContent: name }), make("td", {}, ...value));
+  const unit = layers.unit === "m" ? " m" : "", row = (name, ...value) => make("tr", {}, make("th", { textContent: name }), make("td", {}, ...value));
   const digits = layers.unit === "m" ? 3 : 6;
-  const rows = axesOf(layers).map((name, c) => row(name, found.xyz[c].toFixed(digits)));
+  const rows = axesOf(layers).map((name, c) => row(name, found.xyz[c].toFixed(digits) + unit));
   if (found.geodetic) {
     const [lat, lon, height] = found.geodetic;
-    rows.push(row("lat, lon", `${lat.toFixed(8)}, ${lon.toFixed(8)}`), row("ellipsoid", `${height.toFixed(3)} m`));
+    rows.push(row("lat, lon", `${lat.toFixed(8)}, ${lon.toFixed(8)}`));
+    if (Math.abs(height - found.xyz[2]) > 5e-4) rows.push(row("on the ellipsoid", `${height.toFixed(3)} m`));
   }
   const { world, placed, model, point } = found.sigma, said = (v) => length(v, layers.unit);
   rows.push(row("sigma", make("b", { textContent: world === null ? "in the world: not known" : said(world) })));
