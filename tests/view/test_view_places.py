@@ -10,7 +10,7 @@ from tiegraph.geometry import transforms
 from tiegraph.pipeline.view import Viewed
 from tiegraph.scene.pairs import Pairs
 from tiegraph.view.layers import cameras, mesh, strung, ties, tinted
-from tiegraph.view.places import Known, coordinates, hidden, nearest, sigmas
+from tiegraph.view.places import Known, coordinates, distance_sigma, hidden, nearest, sigmas
 from view.view_world import COUNT, HIGH, KNOWN, NAMES, ORIGIN, K, as_run, cloud, poses
 
 
@@ -49,6 +49,14 @@ def test_sigmas_say_what_is_not_known() -> None:
     assert set(found.values()) == {None}
     found = sigmas(place, 0.03, Known(inside=0.04))
     assert found["shape"] == pytest.approx(0.05) and found["world"] is None
+
+
+def test_a_distance_is_as_good_as_its_ends_the_shape_and_the_scale() -> None:
+    known = Known(scale=1e-3, between=np.array([[10.0, 0.02], [100.0, 0.05]]))
+    ends = np.array([0.03, 0.04])
+    assert distance_sigma(5.0, 0 * ends, known) == pytest.approx(np.hypot(0.01, 0.005))
+    assert distance_sigma(0.0, ends, known) == pytest.approx(0.05)
+    assert distance_sigma(5.0, ends, Known()) is None
 
 
 def test_coordinates_are_those_of_the_crs_and_of_the_earth() -> None:

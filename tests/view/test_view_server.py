@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Callable, Iterator
 from http.client import HTTPConnection, HTTPResponse
@@ -72,10 +73,18 @@ def test_only_what_is_named_is_served(ask: Ask) -> None:
         assert answer.status == 404 and b"mine" not in body, path
     for path in ("/image?k=4", "/image?k=-1", "/image?k=../secret.txt", "/image", "/mesh?k=0", "/picture?k=0"):
         assert ask(path)[0].status == 400, path
-    for path in ("/contours", "/pick?x=0&y=0", "/pick?x=nan&y=0&z=0", "/pick?x=inf&y=0&z=0", "/patch?k=0&left=1"):
+    for path in (
+        "/contours",
+        "/pick?at=0,0",
+        "/pick?at=nan,0,0",
+        "/pick?at=0,inf,0",
+        "/apart?at=0,0,0&sigma=0,0",
+        "/patch?k=0&left=1",
+    ):
         assert ask(path)[0].status == 400, path
-    answer, body = ask("/pick?x=0&y=0&z=0.0")
-    assert answer.status == 400 and b"no point of the cloud is near" in body or answer.status == 200
+    answer, body = ask("/pick?at=0,0,3")
+    assert answer.status == 400 and b"no point of the cloud is near" in body
+    assert json.loads(ask("/apart?at=0,0,0,3,4,0&sigma=0,0")[1])["distance"] == 5
     assert ask("/image?k=0&width=64")[1][:2] == b"\xff\xd8" and ask("/patch?k=0&left=0&top=0")[1][1:4] == b"PNG"
 
 

@@ -6,7 +6,7 @@ import { Cloud, LOOKS } from "./cloud.js";
 import { STEPS } from "./colours.js";
 import { sayDistance, sayPlace, showImage } from "./said.js";
 import { contours, sheet } from "./sheets.js";
-import { axesOf, length, make } from "./words.js";
+import { ask, axesOf, length, make } from "./words.js";
 
 const CLICK_PX = 4, REACH_PX = 8; // a press that moves more turns the view; how near a click has to be
 const by = (id) => document.getElementById(id);
@@ -17,8 +17,7 @@ THREE.ColorManagement.enabled = false; // colours are shown as the files have th
 start().catch(say);
 
 async function start() {
-  const layers = await (await fetch("/layers.json")).json();
-  if (layers.error) throw new Error(layers.error);
+  const layers = await ask("/layers.json");
   document.title = `${layers.name}: tiegraph`;
   by("name").textContent = layers.name;
   by("about").textContent = `${layers.points.toLocaleString("en")} points, ${layers.cameras.length} images, ${layers.crs ?? "no CRS"}`;
@@ -195,12 +194,10 @@ function listen(layers, stage, cloud, cameras, planes) {
     stage.draw();
   };
   const pick = async (local) => {
-    const answer = await fetch(`/pick?x=${local[0]}&y=${local[1]}&z=${local[2]}`);
-    const found = await answer.json();
-    if (!answer.ok) return say(found.error);
+    const found = await ask(`/pick?at=${local}`);
     const measuring = by("measure").checked && picks.length > 0;
     picks = measuring ? [picks.at(-1), found] : [found];
-    by("distance").textContent = measuring ? sayDistance(...picks, layers) : "";
+    by("distance").textContent = measuring ? await sayDistance(...picks, layers) : "";
     by("place").replaceChildren(...sayPlace(found, layers, open));
     by("picked").hidden = false;
     history.replaceState(null, "", `#${found.xyz.map((v) => v.toFixed(3)).join(",")}`);

@@ -1,5 +1,5 @@
 // What is said of a place that was picked, and the images that see it.
-import { axesOf, length, make } from "./words.js";
+import { ask, axesOf, length, make } from "./words.js";
 
 const PATCH = 160; // pixels of an image around a place
 const MOST_PATCHES = 24;
@@ -55,7 +55,9 @@ export function showImage(holder, number, xy, layers, goThere) {
   return close;
 }
 
-export function sayDistance(a, b, layers) {
-  const d = [0, 1, 2].map((c) => b.xyz[c] - a.xyz[c]), said = (v) => length(v, layers.unit);
-  return `distance ${said(Math.hypot(...d))} · level ${said(Math.hypot(d[0], d[1]))} · height difference ${said(d[2])}`;
+export async function sayDistance(a, b, layers) {
+  const sigmas = [a, b].map((p) => p.sigma.point ?? 0);
+  const { distance, sigma, level, height } = await ask(`/apart?at=${[...a.local, ...b.local]}&sigma=${sigmas}`);
+  const said = (v) => length(v, layers.unit), about = sigma === null ? "" : ` ± ${said(sigma)}`;
+  return `distance ${said(distance)}${about} · level ${said(level)} · height difference ${said(height)}`;
 }

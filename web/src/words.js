@@ -13,3 +13,11 @@ export const length = (value, unit, digits = 3) => {
 };
 
 export const axesOf = (layers) => (layers.crs ? ["east", "north", "height"] : ["x", "y", "z"]);
+
+// What the server answers, as JSON; an error is what it says.
+export const ask = async (url) => {
+  const answer = await fetch(url);
+  const found = await answer.json();
+  if (!answer.ok) throw new Error(found.error);
+  return found;
+};

@@ -254,7 +254,8 @@ class _ViewHandler(_Handler):
             "/licences.txt": lambda _: self._send(page.joinpath("licences.txt").read_bytes(), _TEXT),
             f"/{CLOUD}": lambda _: self._file(viewed.path(CLOUD)),
             "/layers.json": lambda _: self._json(viewed.layers()),
-            "/pick": lambda q: self._json(viewed.pick(np.array([float(q[axis]) for axis in "xyz"]))),
+            "/pick": lambda q: self._json(viewed.pick(_numbers(q["at"], 3))),
+            "/apart": lambda q: self._json(viewed.apart(_numbers(q["at"], 6).reshape(2, 3), _numbers(q["sigma"], 2))),
             "/image": lambda q: self._send(_whole(viewed.pixels(int(q["k"])), q), "image/jpeg"),
             "/patch": lambda q: self._send(_patch(viewed.pixels(int(q["k"])), q), "image/png"),
             "/mesh": lambda q: self._send(viewed.mesh(int(q["k"])).tobytes(), _BYTES),
@@ -280,6 +281,14 @@ class _ViewHandler(_Handler):
             file.seek(first)
             for start in range(first, last + 1, _CHUNK):
                 self.wfile.write(file.read(min(_CHUNK, last + 1 - start)))
+
+
+def _numbers(text: str, count: int) -> np.ndarray:
+    """So many numbers with commas between. Raises ValueError for what is none."""
+    found = np.array([float(word) for word in text.split(",")])
+    if len(found) != count or not np.isfinite(found).all():
+        raise ValueError(f"not {count} numbers")
+    return found
 
 
 def _whole(pixels: np.ndarray, query: dict[str, str]) -> bytes:

@@ -26,6 +26,7 @@ from tiegraph.pipeline.files import (
     world_origin,
     world_unit,
 )
+from tiegraph.pipeline.georef import stated
 from tiegraph.pipeline.products import CLOUD
 from tiegraph.pipeline.surfaces import FOLDER
 from tiegraph.products.raster import hillshade
@@ -39,7 +40,7 @@ from tiegraph.scene.vectors import read_shapes
 from tiegraph.targets.marks import seen_in
 from tiegraph.text import finite
 from tiegraph.view.layers import View, cameras, mesh, strung, ties, tinted
-from tiegraph.view.places import Known, coordinates, hidden, nearest, sigmas
+from tiegraph.view.places import Known, coordinates, distance_sigma, hidden, nearest, sigmas
 
 _SHEETS = (("ortho", "dsm", "orthophoto"), ("dsm", "dsm", "surface model"), ("dtm", "dtm", "terrain"))
 _MESH_PX, _PICTURE_PX = 256, 2048  # pixels along a raster at most, of its heights and of its colours
@@ -120,8 +121,6 @@ class Viewed:
     def pick(self, local: np.ndarray) -> dict[str, Any]:
         """The point of the cloud nearest to a local place (3,), JSON-ready: its coordinates, its sigmas, and the images
         that see it with its pixel and whether something hides it there. Raises ValueError where no point is near."""
-        if not np.isfinite(local).all():
-            raise ValueError("not a place")
         place = local + self.middle - self._shift
         step = max(float(np.ptp(self.box, axis=0).max()) * 1e-6, 1e-9)
         for reach in step * 8.0 ** np.arange(6):
@@ -143,6 +142,14 @@ class Viewed:
                 for n, (k, xy) in enumerate(seen.items())
             ],
         })  # fmt: skip
+
+    def apart(self, ends: np.ndarray, points: np.ndarray) -> dict[str, Any]:
+        """Distance, in level, and difference of height of two local places (2, 3), JSON-ready; the sigma of the first
+        by those of both ``points`` (2,)."""
+        x, y, z = np.diff(ends, axis=0)[0]
+        away = float(np.linalg.norm([x, y, z]))
+        sigma = distance_sigma(away, points, self.known)
+        return finite({"distance": away, "sigma": sigma, "level": float(np.hypot(x, y)), "height": float(z)})
 
     def mesh(self, sheet: int) -> np.ndarray:
         """Rows and columns (2,) f4, and the local places (rows x columns x 3) f4 of a raster."""
@@ -203,6 +210,7 @@ def open_view(run: Run) -> Viewed:
     model = load_model(run.path("sparse", "world"))  # to the end: it owns its cameras
     posed = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
+    predicted = stated(run, {}).predicted
     return Viewed(
         run=run,
         origin=world_origin(run.folder),
@@ -210,7 +218,7 @@ def open_view(run: Run) -> Viewed:
         box=np.array([header.mins, header.maxs]),
         points=header.point_count,
         images={i.name: (matrix(i.cam_from_world()), copy(i.camera)) for i in posed},
-        known=Known(inside=inside, placed=placement_error(run.folder)),
+        known=Known(inside, placement_error(run.folder), scale=predicted.scale, between=predicted.between),
     )
 
 

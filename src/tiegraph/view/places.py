@@ -1,7 +1,7 @@
 """What is known of a place that was picked on the cloud: the point of the file, its coordinates, its sigma, and whether
 something hides it from an image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,13 @@ _BEHIND = 1.02  # a place this much farther than the surface in its pixel is hid
 @dataclass(frozen=True, eq=False)
 class Known:
     """What a run says of its accuracy, units of the world: ``inside``, the sigma of a camera inside the model (median);
-    ``placed``, that of the model as a whole, None = nothing places it."""
+    ``placed``, that of the model as a whole, None = nothing places it; ``scale`` (share), NaN = not known; of what lies
+    ``between`` two frames (K, 2: apart, sigma)."""
 
     inside: float = 0.0
     placed: PlacementError | None = None
+    scale: float = float("nan")
+    between: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 def nearest(cloud: Cloud, place: np.ndarray) -> int | None:
@@ -39,6 +42,15 @@ def sigmas(place: np.ndarray, point: float, known: Known) -> dict[str, Any]:
         return out
     placed = known.placed.sigma(place)[0]
     return out | {"placed": placed.tolist(), "world": float(np.hypot(np.linalg.norm(placed), shape))}
+
+
+def distance_sigma(distance: float, points: np.ndarray, known: Known) -> float | None:
+    """Standard deviation of a distance by those of both ``points`` (2,) by their matching, of the shape of the model over so
+    far, and of its scale; None where nothing tells the scale."""
+    if not np.isfinite(known.scale):
+        return None
+    shape = np.interp(distance, *np.vstack([[0.0, 0.0], known.between]).T)
+    return float(np.linalg.norm([*points, shape, distance * known.scale]))
 
 
 def coordinates(place: np.ndarray, origin: Origin | None) -> dict[str, Any]:
