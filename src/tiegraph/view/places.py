@@ -45,8 +45,8 @@ def sigmas(place: np.ndarray, point: float, known: Known) -> dict[str, Any]:
 
 
 def distance_sigma(distance: float, points: np.ndarray, known: Known) -> float | None:
-    """Standard deviation of a distance by those of both ``points`` (2,) by their matching, of the shape of the model over so
-    far, and of its scale; None where nothing tells the scale."""
+    """Standard deviation of a distance by those of both ``points`` (2,) by their matching, of the shape of the model
+    over so far, and of its scale; None where nothing tells the scale."""
     if not np.isfinite(known.scale):
         return None
     shape = np.interp(distance, *np.vstack([[0.0, 0.0], known.between]).T)
