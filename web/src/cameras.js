@@ -3,20 +3,24 @@ import * as THREE from "three";
 import { STEPS } from "./colours.js";
 
 export class Cameras {
-  constructor(cameras, size) {
+  constructor(cameras) {
     this.cameras = cameras;
     this.lines = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: "#ff9d3c" }));
     this.chosen = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: "#ffffff", depthTest: false }));
     this.group = new THREE.Group().add(this.lines, this.chosen);
-    this.resize(size);
+    this.size = 0;
   }
 
-  resize(size) {
+  // Frusta of about a size.
+  fit(size) {
+    if (Math.abs(Math.log(size / this.size)) < 0.2) return;
     this.size = size;
     draw(this.lines, this.cameras.flatMap((camera) => frustum(camera, size)));
+    this.choose(this.number ?? null);
   }
 
   choose(number) {
+    this.number = number;
     draw(this.chosen, number === null ? [] : frustum(this.cameras[number], 1.5 * this.size));
   }
 

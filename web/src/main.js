@@ -9,6 +9,7 @@ import { contours, sheet } from "./sheets.js";
 import { ask, axesOf, length, make } from "./words.js";
 
 const CLICK_PX = 4, REACH_PX = 8; // a press that moves more turns the view; how near a click has to be
+const CAMERA_SIZE = 0.02; // of the distance from which the view is seen
 const by = (id) => document.getElementById(id);
 const vector = (v) => new THREE.Vector3(...v);
 const say = (error) => { by("said").textContent = error.message ?? error; by("said").hidden = false; };
@@ -26,11 +27,9 @@ async function start() {
   const cloud = new Cloud("/cloud.copc.laz", layers.middle, planes, (error) => { if (error) say(error); stage.draw(); });
   await cloud.open();
   cloud.look("colour");
-  stage.scene.add(cloud.group);
-  stage.cloud = cloud;
+  const cameras = new Cameras(layers.cameras);
+  Object.assign(stage, { cloud, cameras });
   stage.home();
-  const cameras = new Cameras(layers.cameras, 0.02 * stage.radius);
-  stage.scene.add(cameras.group);
   listLayers(layers, stage, cloud, cameras, planes);
   listLooks(layers, stage, cloud);
   listClips(layers, stage, cloud, planes);
@@ -75,6 +74,7 @@ class Stage {
     Object.assign(this.camera, { aspect: width / height, near: away / 200, far: away * 20 + 20 * this.radius });
     this.camera.updateProjectionMatrix();
     this.camera.updateMatrixWorld();
+    this.cameras.fit(CAMERA_SIZE * away);
     const whole = this.cloud.update(this.camera, height);
     this.renderer.render(this.scene, this.camera);
     by("count").textContent = `${this.cloud.shown.toLocaleString("en")} points shown${whole ? "" : " …"}`;
@@ -89,17 +89,24 @@ class Stage {
     this.draw();
   }
 
+  // The cameras and most of the cloud: its far, thin parts would make the rest small.
+  whole() {
+    const box = this.cloud.most.clone();
+    this.cameras.cameras.forEach(({ at }) => box.expandByPoint(vector(at)));
+    const size = box.getSize(new THREE.Vector3());
+    this.radius = Math.max(size.length() / 2, 1e-6);
+    return { centre: box.getCenter(new THREE.Vector3()), size };
+  }
+
   // From the side of the longer extent, obliquely.
   home() {
-    const { low, high } = this.cloud, size = low.map((v, c) => high[c] - v);
-    const centre = (this.cloud.centre = low.map((v, c) => (v + high[c]) / 2));
-    this.radius = Math.max(Math.hypot(...size) / 2, 1e-6);
-    const side = size[0] >= size[1] ? [0.35, -1, 0.75] : [1, -0.35, 0.75];
-    this.look(vector(centre).addScaledVector(vector(side).normalize(), 1.9 * this.radius), vector(centre));
+    const { centre, size } = this.whole();
+    const side = vector(size.x >= size.y ? [0.35, -1, 0.75] : [1, -0.35, 0.75]).normalize();
+    this.look(centre.clone().addScaledVector(side, 1.9 * this.radius), centre);
   }
 
   top() {
-    const centre = vector(this.cloud.centre);
+    const { centre } = this.whole();
     this.look(centre.clone().add(new THREE.Vector3(0, -1e-3, 2.2).multiplyScalar(this.radius)), centre);
   }
 
