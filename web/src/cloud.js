@@ -91,7 +91,7 @@ export class Cloud {
     const axes = [0, 1, 2].map((c) => position.array.filter((_, k) => k % 3 === c).sort());
     this.low = axes.map((v) => quantile(v, 0.005));
     this.high = axes.map((v) => quantile(v, 0.995));
-    this.most = new THREE.Box3(...[0.15, 0.85].map((share) => new THREE.Vector3(...axes.map((v) => quantile(v, share)))));
+    this.most = new THREE.Box3(...[0.25, 0.75].map((share) => new THREE.Vector3(...axes.map((v) => quantile(v, share)))));
     const known = sigma.array.filter(Number.isFinite).sort();
     const ends = (v, share) => (v.length ? [quantile(v, share), quantile(v, 1 - share)] : [0, 1]);
     this.ranges = { height: ends(axes[2], 0.02), sigma: ends(known, 0.03), images: ends(views.array.slice().sort(), 0.02) };

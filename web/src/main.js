@@ -9,7 +9,7 @@ import { contours, sheet } from "./sheets.js";
 import { ask, axesOf, length, make } from "./words.js";
 
 const CLICK_PX = 4, REACH_PX = 8; // a press that moves more turns the view; how near a click has to be
-const CAMERA_SIZE = 0.02; // of the distance from which the view is seen
+const CAMERA_SIZE = 0.012; // of the distance from which the view is seen
 const by = (id) => document.getElementById(id);
 const vector = (v) => new THREE.Vector3(...v);
 const say = (error) => { by("said").textContent = error.message ?? error; by("said").hidden = false; };
