@@ -125,7 +125,7 @@ def _named(data: dict[str, Any]) -> str:
 
 def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | None]:
     raw = gdal(str(path), "or save it as GeoJSON, or as a CSV of east and north")
-    meta, _, shapes, _ = raw.read(path, columns=[])
+    meta, _, shapes, _ = raw.read(path, layer=0, columns=[])
     text = io.BytesIO()
     given = meta["crs"] or "EPSG:4326"  # some, without which pyogrio warns; coordinates stay as they are
     raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=given)
