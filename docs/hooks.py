@@ -26,6 +26,7 @@ CHAPTERS += (
     "targets",
     "stations",
     "export",
+    "view",
     "scene",
     "geometry",
     "papers",

@@ -1,6 +1,5 @@
 """`tiegraph mark OUT --points FILE`: a page in the browser to mark control points in the images."""
 
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -43,13 +42,6 @@ def main(arguments: list[str]) -> int:
     server = MarkServer(session, options.port)
     say(f"{len(session.file.points)} points; marks go to {target}")
     say(f"{server.url}  (ends with Ctrl-C)")
-    if options.browser:
-        webbrowser.open(server.url)
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.server_close()
+    server.serve_until_interrupted(options.browser)
     say(f"{len(session.marks)} marks: {target}")
     return 0

@@ -1,6 +1,5 @@
 """`tiegraph serve FOLDER`: a survey in the browser, from its images to the report."""
 
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -40,13 +39,8 @@ def main(arguments: list[str]) -> int:
     server = ServeServer(session, options.port)
     say(f"images: {session.images}; results: {session.out}")
     say(f"{server.url}  (ends with Ctrl-C, and a run with it; finished work is kept)")
-    if options.browser:
-        webbrowser.open(server.url)
     try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        pass
+        server.serve_until_interrupted(options.browser)
     finally:
         session.close()
-        server.server_close()
     return 0

@@ -76,6 +76,7 @@ VERBS: dict[str, Verb] = {
     "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
     "serve": Verb("a page in the browser to hand images over, start and follow a run, and read its report", "serve"),
     "mark": Verb("a page in the browser to mark control points in the images", "mark"),
+    "view": Verb("a finished run in the browser: cloud, cameras, tie graph, maps, coordinates with sigma", "view"),
     "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "lidar"),
     "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "watch"),
     "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),

@@ -1,16 +1,21 @@
-"""The pages of ``tiegraph mark`` (images of the survey by number, marks as JSON) and of ``tiegraph watch`` (what is
-known, as JSON), served on the loopback, and nothing else.
+"""The pages of ``tiegraph mark`` (images of the survey by number, marks as JSON), of ``tiegraph watch`` (what is known,
+as JSON) and of ``tiegraph view`` (a finished run), served on the loopback, and nothing else.
 
 Other sites that a browser has open must neither read nor write here: a request has to name this very server as its host
-(a name that is rebound to 127.0.0.1 does not), and what changes something has to be JSON from this very origin.
+(a name that is rebound to 127.0.0.1 does not), and what changes something has to be JSON from this very origin. What a
+browser says to come from another site is refused, unless somebody follows a link there.
 """
 
 import json
+import re
 import threading
+import webbrowser
+from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -19,14 +24,21 @@ import numpy as np
 
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking
+from tiegraph.pipeline.view import CLOUD, Viewed
 from tiegraph.watch.view import page
 
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
-HTML = "text/html; charset=utf-8"
+HTML, _TEXT, _BYTES = "text/html; charset=utf-8", "text/plain; charset=utf-8", "application/octet-stream"
 _POLICY = (
     "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
     "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
+_VIEW_POLICY = (
+    "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; "  # laz-perf is WebAssembly
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+_RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+_CHUNK = 1 << 20  # bytes of a file sent at once
 
 
 class PageServer(ThreadingHTTPServer):
@@ -50,17 +62,31 @@ class PageServer(ThreadingHTTPServer):
         """Where the page is."""
         return f"http://{self.hosts[0]}/"
 
+    def serve_until_interrupted(self, browser: bool) -> None:
+        """Serve the page, opened in the ``browser`` or not, until Ctrl-C."""
+        if browser:
+            webbrowser.open(self.url)
+        try:
+            self.serve_forever()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.server_close()
+
 
 class Handler(BaseHTTPRequestHandler):
-    """What both pages answer alike."""
+    """What all pages answer alike."""
 
     server: PageServer
     protocol_version = "HTTP/1.1"
+    policy = _POLICY
 
     def _allowed(self, changes: str = "") -> bool:
         """Whether a request comes from this page; ``changes``: the type of what it sends to change something."""
         hosts = self.server.hosts
         good = self.headers.get("Host", "") in hosts
+        if self.headers.get("Sec-Fetch-Mode") != "navigate":
+            good &= self.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
         origin = self.headers.get("Origin")
         if origin is not None or changes != "":
             good &= origin in [f"http://{h}" for h in hosts]
@@ -78,15 +104,20 @@ class Handler(BaseHTTPRequestHandler):
         self._send(json.dumps({"error": text}).encode(), "application/json", status)
 
     def _send(self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self._begin(len(body), kind, status)
+        with suppress(ConnectionError):  # the browser has gone
+            self.wfile.write(body)
+
+    def _begin(self, length: int, kind: str, status: HTTPStatus = HTTPStatus.OK, **more: str) -> None:
+        """Status line and headers; ``more``: of this answer, with _ for -."""
         self.send_response(status)
         for name, value in (
-            ("Content-Type", kind), ("Content-Length", str(len(body))), ("Cache-Control", "no-store"),
-            ("X-Content-Type-Options", "nosniff"), ("Content-Security-Policy", _POLICY), ("X-Frame-Options", "DENY"),
+            ("Content-Type", kind), ("Content-Length", str(length)), ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"), ("Content-Security-Policy", self.policy),
+            ("X-Frame-Options", "DENY"), *((n.replace("_", "-"), v) for n, v in more.items()),
         ):  # fmt: skip
             self.send_header(name, value)
         self.end_headers()
-        with suppress(ConnectionError):  # the browser has gone
-            self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing: the terminal is the user's."""
@@ -150,12 +181,12 @@ class _MarkHandler(Handler):
                 with self.server.lock:
                     self._json(self.server.session.state())
             elif asked.path == "/image":
-                self._send(self._whole(query), "image/jpeg")
+                self._send(_whole(self._pixels(query), query), "image/jpeg")
             elif asked.path == "/size":
                 height, width = self._pixels(query).shape[:2]
                 self._json({"width": width, "height": height})
             elif asked.path == "/patch":
-                self._send(self._patch(query), "image/png")
+                self._send(_patch(self._pixels(query), query), "image/png")
             else:
                 self._refuse(HTTPStatus.NOT_FOUND, "no such page")
         except (KeyError, ValueError, OverflowError) as error:
@@ -187,19 +218,94 @@ class _MarkHandler(Handler):
             raise ValueError("no such image")
         return self.server.session.pixels(image)
 
-    def _whole(self, query: dict[str, str]) -> bytes:
-        pixels = self._pixels(query)
-        factor = min(1.0, min(int(query.get("width", 1400)), _MOST_WIDTH_PX) / max(pixels.shape[:2]))
-        small = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else pixels
-        return cv2.imencode(".jpg", small)[1].tobytes()
 
-    def _patch(self, query: dict[str, str]) -> bytes:
-        """``size`` square pixels from (left, top); black beyond the image."""
-        pixels, left, top = self._pixels(query), int(query["left"]), int(query["top"])
-        size = min(max(int(query.get("size", _PATCH_PX)), 1), _MOST_PATCH_PX)
-        out = np.zeros((size, size, 3), np.uint8)
-        height, width = pixels.shape[:2]
-        y0, y1, x0, x1 = max(top, 0), min(top + size, height), max(left, 0), min(left + size, width)
-        if y0 < y1 and x0 < x1:
-            out[y0 - top : y1 - top, x0 - left : x1 - left] = pixels[y0:y1, x0:x1]
-        return cv2.imencode(".png", out)[1].tobytes()
+class ViewServer(PageServer):
+    """Serves one finished run."""
+
+    def __init__(self, viewed: Viewed, port: int = 0) -> None:
+        super().__init__(port, _ViewHandler)
+        self.viewed = viewed
+
+
+class _ViewHandler(Handler):
+    server: ViewServer
+    policy = _VIEW_POLICY
+
+    def do_GET(self) -> None:
+        """The page, its script, the cloud or a part of it, and what is asked of the run."""
+        if not self._allowed():
+            return
+        asked = urlsplit(self.path)
+        query = {name: values[-1] for name, values in parse_qs(asked.query).items()}
+        answer = self._answers().get(asked.path)
+        try:
+            if answer is None:
+                self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+            else:
+                answer(query)
+        except (KeyError, IndexError, ValueError, OverflowError, TiegraphError) as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+
+    def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
+        """All that there is, by path; images and rasters go by their numbers."""
+        viewed, page = self.server.viewed, files("tiegraph.view")
+        return {
+            "/": lambda _: self._send(page.joinpath("page.html").read_bytes(), HTML),
+            "/view.js": lambda _: self._send(page.joinpath("view.js").read_bytes(), "text/javascript"),
+            "/licences.txt": lambda _: self._send(page.joinpath("licences.txt").read_bytes(), _TEXT),
+            f"/{CLOUD}": lambda _: self._file(viewed.path(CLOUD)),
+            "/layers.json": lambda _: self._json(viewed.layers()),
+            "/pick": lambda q: self._json(viewed.pick(_numbers(q["at"], 3))),
+            "/apart": lambda q: self._json(viewed.apart(_numbers(q["at"], 6).reshape(2, 3), _numbers(q["sigma"], 2))),
+            "/image": lambda q: self._send(_whole(viewed.pixels(int(q["k"])), q), "image/jpeg"),
+            "/patch": lambda q: self._send(_patch(viewed.pixels(int(q["k"])), q), "image/png"),
+            "/mesh": lambda q: self._send(viewed.mesh(int(q["k"])).tobytes(), _BYTES),
+            "/picture": lambda q: self._send(viewed.picture(int(q["k"])), "image/png"),
+            "/contours": lambda _: self._send(viewed.contours().tobytes(), _BYTES),
+        }
+
+    def _file(self, path: Path) -> None:
+        """A file, or the range of bytes that is asked for (206); several ranges: all of it, as the standard allows."""
+        size = path.stat().st_size
+        asked = _RANGE.fullmatch(self.headers.get("Range", ""))
+        first, last, more, status = 0, size - 1, {"Accept_Ranges": "bytes"}, HTTPStatus.OK
+        if asked is not None and any(asked.groups()):
+            head, tail = asked.groups()
+            first = int(head) if head else max(size - int(tail), 0)
+            last = min(int(tail), size - 1) if head and tail else size - 1
+            if first > last:
+                self._begin(0, _BYTES, HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, Content_Range=f"bytes */{size}")
+                return
+            status, more = HTTPStatus.PARTIAL_CONTENT, {**more, "Content_Range": f"bytes {first}-{last}/{size}"}
+        self._begin(last - first + 1, _BYTES, status, **more)
+        with suppress(ConnectionError), open(path, "rb") as file:
+            file.seek(first)
+            for start in range(first, last + 1, _CHUNK):
+                self.wfile.write(file.read(min(_CHUNK, last + 1 - start)))
+
+
+def _numbers(text: str, count: int) -> np.ndarray:
+    """So many numbers with commas between. Raises ValueError for what is none."""
+    found = np.array([float(word) for word in text.split(",")])
+    if len(found) != count or not np.isfinite(found).all():
+        raise ValueError(f"not {count} numbers")
+    return found
+
+
+def _whole(pixels: np.ndarray, query: dict[str, str]) -> bytes:
+    """An image (H, W, 3) as JPEG, ``width`` pixels along its longer side at most."""
+    factor = min(1.0, min(int(query.get("width", 1400)), _MOST_WIDTH_PX) / max(pixels.shape[:2]))
+    small = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else pixels
+    return cv2.imencode(".jpg", small)[1].tobytes()
+
+
+def _patch(pixels: np.ndarray, query: dict[str, str]) -> bytes:
+    """``size`` square pixels from (left, top) of an image (H, W, 3) as PNG; black beyond it."""
+    left, top = int(query["left"]), int(query["top"])
+    size = min(max(int(query.get("size", _PATCH_PX)), 1), _MOST_PATCH_PX)
+    out = np.zeros((size, size, 3), np.uint8)
+    height, width = pixels.shape[:2]
+    y0, y1, x0, x1 = max(top, 0), min(top + size, height), max(left, 0), min(left + size, width)
+    if y0 < y1 and x0 < x1:
+        out[y0 - top : y1 - top, x0 - left : x1 - left] = pixels[y0:y1, x0:x1]
+    return cv2.imencode(".png", out)[1].tobytes()

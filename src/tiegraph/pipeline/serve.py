@@ -17,8 +17,12 @@ import numpy as np
 
 from tiegraph.errors import InputError, SettingsError, TiegraphError
 from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.products import CLOUD
+from tiegraph.pipeline.view import Viewed, open_view
 from tiegraph.project.folder import SETTINGS
-from tiegraph.project.settings import SETTING_OF, read_file
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run
+from tiegraph.project.settings import SETTING_OF, merged, read_file
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.names import inside
 from tiegraph.scene.scene import Scene
@@ -144,7 +148,8 @@ class Session:
             "images": str(self.images), "out": str(self.out), "files": self._files(), "running": process is not None
             and code is None, "code": code, "stopped": self._stopped, "asked": self._asked, "lines": lines,
             "stages": [{"stage": s.name, **_told(self._receipt(s.name) | stages.get(s.name, {}))} for s in STAGES],
-            "found": self._found(), "pictures": self.pictures(), "report": (self.out / "report.html").is_file(),
+            "found": self._found(), "pictures": self.pictures(),
+            **{n: (self.out / f).is_file() for n, f in (("report", "report.html"), ("cloud", CLOUD))},
         }  # fmt: skip
 
     def _receipt(self, stage: str) -> dict[str, Any]:
@@ -153,6 +158,10 @@ class Session:
             return dict(json.loads((self.out / "receipts" / f"{stage}.json").read_text()))
         except (OSError, ValueError, TypeError):
             return {}
+
+    def viewed(self) -> Viewed:
+        """The results as ``tiegraph view`` shows them. Raises InputError without a cloud."""
+        return open_view(Run(self.out, Inputs(self.images), merged()))
 
     def _files(self) -> dict[str, Any]:
         """How many files were handed over, and those that an option may name."""

@@ -6,12 +6,13 @@ included; what changes something must also come from this very origin (``pages``
 
 import json
 import secrets
+import threading
 from http import HTTPStatus
 from importlib.resources import files
 from urllib.parse import unquote, urlsplit
 
 from tiegraph.errors import TiegraphError
-from tiegraph.pipeline.pages import HTML, Handler, PageServer
+from tiegraph.pipeline.pages import HTML, Handler, PageServer, ViewServer
 from tiegraph.pipeline.serve import Session
 
 _MOST_JSON = 1 << 16  # bytes of what the page asks for
@@ -23,7 +24,19 @@ class ServeServer(PageServer):
 
     def __init__(self, session: Session, port: int = 0) -> None:
         super().__init__(port, _ServeHandler)
-        self.session, self.token = session, secrets.token_urlsafe(24)
+        self.session, self.token, self.lock = session, secrets.token_urlsafe(24), threading.Lock()
+        self._view: ViewServer | None = None
+
+    def view(self) -> str:
+        """Where the cloud is shown, with what the run has made so far. Raises InputError without one."""
+        with self.lock:
+            viewed = self.session.viewed()
+            if self._view is not None:
+                self._view.shutdown()
+                self._view.server_close()
+            self._view = ViewServer(viewed, 0)
+            threading.Thread(target=self._view.serve_forever, daemon=True, name="serve-view").start()
+            return self._view.url
 
     @property
     def url(self) -> str:
@@ -82,17 +95,21 @@ class _ServeHandler(Handler):
         self._json({"new": new})
 
     def do_POST(self) -> None:
-        """Start ({"options": {...}, "until": stage or null}) or stop the run; the state that follows."""
+        """Start ({"options": {...}, "until": stage or null}) or stop the run: the state that follows; or show the
+        cloud: where that is."""
         path = self._asked("application/json")
         length = self.headers.get("Content-Length", "")
         if path is None:
             return
-        if path not in ("start", "stop") or not length.isdigit() or int(length) > _MOST_JSON:
+        if path not in ("start", "stop", "view") or not length.isdigit() or int(length) > _MOST_JSON:
             self.close_connection = True
-            self._refuse(HTTPStatus.BAD_REQUEST, "neither start nor stop")
+            self._refuse(HTTPStatus.BAD_REQUEST, "neither start, stop nor view")
             return
         try:
             data = json.loads(self.rfile.read(int(length)) or b"{}")
+            if path == "view":
+                self._json({"url": self.server.view()})
+                return
             if path == "stop":
                 self.server.session.stop()
             else:

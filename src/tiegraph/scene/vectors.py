@@ -46,8 +46,8 @@ def write_layer(raw: Any, path: Path, name: str, features: Layer, crs: str) -> N
 
 @dataclass(frozen=True)
 class Shapes:
-    """Lines or outer rings of polygons of a file, (N, 2) east and north each (degrees: longitude and latitude), and
-    the CRS that it names, if any."""
+    """Lines or outer rings of polygons of a file, (N, 2) east and north each (degrees: longitude and latitude), or
+    (N, 3) with heights, and the CRS that it names, if any."""
 
     parts: list[np.ndarray]
     crs: str | None
@@ -56,9 +56,10 @@ class Shapes:
 _WANTED = {"line": ("LineString", "MultiLineString"), "polygon": ("Polygon", "MultiPolygon")}
 
 
-def read_shapes(path: Path, kind: str) -> Shapes:
+def read_shapes(path: Path, kind: str, axes: int = 2) -> Shapes:
     """The lines or polygons (``kind``: line, polygon) of a file: GeoJSON, a CSV of east and north, and what else GDAL
-    reads. Raises InputError for a file that has none or cannot be read, EngineMissing where it needs pyogrio."""
+    reads. ``axes``: 3 keeps the heights of GeoJSON and of GDAL's files. Raises InputError for a file that has none or
+    cannot be read, EngineMissing where it needs pyogrio."""
     if not path.is_file():
         raise InputError(f"{path} is no file")
     ending = path.suffix.lower()
@@ -67,9 +68,9 @@ def read_shapes(path: Path, kind: str) -> Shapes:
             parts, crs = [_table(path)], None
         elif ending in (".geojson", ".json"):
             data = json.loads(path.read_text(encoding="utf-8"))
-            parts, crs = _parts(data, kind), _named(data)
+            parts, crs = _parts(data, kind, axes), _named(data)
         else:
-            parts, crs = _by_gdal(path, kind)
+            parts, crs = _by_gdal(path, kind, axes)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
         raise InputError(f"{path} cannot be read as a {kind}: {error}") from error
     least = 2 if kind == "line" else 3
@@ -97,7 +98,7 @@ def _open(vertices: np.ndarray) -> np.ndarray:
     return kept[:-1] if len(kept) > 3 and (kept[0] == kept[-1]).all() else kept
 
 
-def _parts(data: dict[str, Any], kind: str) -> list[np.ndarray]:
+def _parts(data: dict[str, Any], kind: str, axes: int) -> list[np.ndarray]:
     features = data["features"] if data.get("type") == "FeatureCollection" else [data]
     out = []
     for shape in (f.get("geometry", f) for f in features):
@@ -112,7 +113,7 @@ def _parts(data: dict[str, Any], kind: str) -> list[np.ndarray]:
             if any(len(rings) > 1 for rings in each):
                 raise InputError("a polygon with a hole is not taken: cut it in two")
             each = [rings[0] for rings in each]
-        found = [np.array([c[:2] for c in part], float).reshape(-1, 2) for part in each]
+        found = [np.array([c[:axes] for c in part], float).reshape(-1, axes) for part in each]
         out += found if kind == "line" else [_open(p) for p in found]
     return out
 
@@ -122,10 +123,10 @@ def _named(data: dict[str, Any]) -> str:
     return str((data.get("crs") or {}).get("properties", {}).get("name", "OGC:CRS84"))
 
 
-def _by_gdal(path: Path, kind: str) -> tuple[list[np.ndarray], str | None]:
+def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | None]:
     raw = gdal(str(path), "or save it as GeoJSON, or as a CSV of east and north")
-    meta, _, shapes, _ = raw.read(path, columns=[])
+    meta, _, shapes, _ = raw.read(path, layer=0, columns=[])
     text = io.BytesIO()
     given = meta["crs"] or "EPSG:4326"  # some, without which pyogrio warns; coordinates stay as they are
     raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=given)
-    return _parts(json.loads(text.getvalue()), kind), meta["crs"]
+    return _parts(json.loads(text.getvalue()), kind, axes), meta["crs"]

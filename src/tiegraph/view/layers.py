@@ -1,0 +1,71 @@
+"""What the page draws in local coordinates, those of the CRS minus the middle of the cloud: cameras, rasters, lines."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rig import on_plane
+
+View = tuple[np.ndarray, pycolmap.Camera]
+"""cam_from_world (4, 4) and camera of an image."""
+_TAILS = (0.5, 99.5)  # percentiles of heights between which the colours spread
+
+
+def cameras(names: Sequence[str], views: Sequence[View], local_from_world: np.ndarray) -> list[dict[str, Any]]:
+    """Name, size (pixels), projection centre (3) and unit rays of the four corners (4, 3) of each image.
+
+    A corner that its lens has no ray of (90 degrees off the axis and more) is drawn 45 degrees off in x and y."""
+    out = []
+    for name, (pose, camera) in zip(names, views):
+        size = np.array([camera.width, camera.height], float)
+        sides = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        plane = on_plane(camera, (sides + 1) / 2 * size)
+        rays = np.c_[np.where(np.isfinite(plane), plane, sides), np.ones(4)] @ pose[:3, :3]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        centre = transforms.centre(pose) + local_from_world
+        out.append({"name": name, "size": size.tolist(), "at": centre.tolist(), "corners": rays.tolist()})
+    return out
+
+
+def ties(pairs: Pairs, rows: Mapping[int, int]) -> list[list[int]]:
+    """[row, row, verified matches] of each pair that was kept, the weakest first; ``rows``: of the images with a pose,
+    by scene index."""
+    kept = pairs.kept()
+    found = zip(kept.i.tolist(), kept.j.tolist(), kept.inliers.tolist())
+    return sorted(([rows[i], rows[j], n] for i, j, n in found if i in rows and j in rows and n > 0), key=lambda t: t[2])
+
+
+def mesh(w: np.ndarray, frame: Mapping[str, Any], middle: np.ndarray) -> np.ndarray:
+    """Local places (rows, columns, 3) f4 of heights w (rows, columns) that span a raster, NaN where not known.
+
+    ``frame``: what its ``frame.json`` says; ``middle`` (3,) in the CRS."""
+    rows, columns = w.shape
+    wide, high = np.array(frame["size"]) * frame["pixel"]
+    left, top = frame["upper_left_uv"]
+    u = left + (np.arange(columns) + 0.5) / columns * wide
+    v = top - (np.arange(rows) + 0.5) / rows * high
+    uvw = np.stack([*np.meshgrid(u, v), w], axis=-1).reshape(-1, 3)
+    crs_from_surface = transforms.invert(np.array(frame["surface_from_crs"], float))
+    return (transforms.apply(crs_from_surface, uvw) - middle).astype(np.float32).reshape(rows, columns, 3)
+
+
+def strung(lines: Sequence[np.ndarray], middle: np.ndarray) -> np.ndarray:
+    """Local vertices (N, 3) f4 of lines (K, 3) in the CRS one after the other, a row of NaN after each."""
+    gap = np.full((1, 3), np.nan)
+    return np.concatenate([gap[:0], *(part for line in lines for part in (line - middle, gap))]).astype(np.float32)
+
+
+def tinted(w: np.ndarray, shade: np.ndarray) -> np.ndarray:
+    """BGRA (rows, columns, 4) u1 of heights (rows, columns) by colour with shades (rows, columns) u1; transparent where
+    not known (NaN)."""
+    known = np.isfinite(w)
+    low, high = np.percentile(w[known], _TAILS) if known.any() else (0.0, 1.0)
+    level = np.clip((np.where(known, w, low) - low) / max(high - low, 1e-9), 0, 1)
+    colour = cv2.applyColorMap(np.rint(255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    light = np.where(shade > 0, 0.35 + 0.9 * shade / 255, 1.0)[..., None]  # as the pictures of the report
+    return np.dstack([np.clip(colour * light, 0, 255), np.where(known, 255, 0)]).astype(np.uint8)
