@@ -78,7 +78,7 @@ def test_gnss_files_that_cannot_be_meant(one_pass: Survey, tmp_path: Path, text:
 
 
 def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Path) -> None:
-    with refused("several images are called so: write down/cam0/000000.jpg"):
+    with refused("several images have this name: write down/cam0/000000.jpg"):
         scan_gnss(two_passes, tmp_path, by_image(images=["000000.jpg", "000001.jpg"]))
 
 
