@@ -100,7 +100,7 @@ def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, tu
 def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tmp_path: Path) -> None:
     start = start_of(survey, tmp_path / "start")
     both = opened(survey, tmp_path / "out", start=start, trajectory=start)
-    with refused(r"--start .*start and --trajectory .*start: both give poses: leave one out"):
+    with refused(r"--start .*start and --trajectory .*start: both give poses: omit one"):
         both.run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
 
