@@ -55,7 +55,7 @@ def test_heights_from_another_level_are_said(tmp_path: Path, capsys, crs: str, s
         cloud.write(tmp_path / name)
         files.append(str(tmp_path / name))
     assert main(["evaluate", *files]) == 0
-    assert ("heights count from another level (EPSG:6695)" in capsys.readouterr().out) == said
+    assert ("heights refer to another level (EPSG:6695)" in capsys.readouterr().out) == said
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tm
 
 def test_a_wrong_start_is_refused_before_anything_is_stored(survey: worlds.Survey, tmp_path: Path) -> None:
     (tmp_path / "notes.json").write_text("{}")
-    with refused("notes.json: no model that is known; give a COLMAP model"):
+    with refused("notes.json: no model of a known kind; give a COLMAP model"):
         opened(survey, tmp_path / "out", start=tmp_path / "notes.json").run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
     start = start_of(survey, tmp_path / "start")

@@ -296,13 +296,13 @@ def damaged(write: Write, old: str, new: str) -> Write:
 TWICE = '"a_0"><transform>2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1</transform></camera><camera label="b"><transform>'
 WRONG: dict[str, tuple[Write, str]] = {
     "no such": (lambda t: t / "nowhere", r"--start .*nowhere: no such file or folder; give a COLMAP model"),
-    "empty folder": (lambda t: t, r"--start .*: no model that is known; give .*Metashape exports as XML"),
-    "other file": (lambda t: picture(t / "x.jpg"), r"x.jpg: no model that is known; give a COLMAP"),
-    "other json": (lambda t: _text(t / "x.json", "{}"), r"x.json: no model that is known"),
-    "lens xml": (lambda t: _text(t / "x.xml", "<calibration><f>3</f></calibration>"), r"x.xml: no model that is known"),
+    "empty folder": (lambda t: t, r"--start .*: no model of a known kind; give .*Metashape exports as XML"),
+    "other file": (lambda t: picture(t / "x.jpg"), r"x.jpg: no model of a known kind; give a COLMAP"),
+    "other json": (lambda t: _text(t / "x.json", "{}"), r"x.json: no model of a known kind"),
+    "lens xml": (lambda t: _text(t / "x.xml", "<calibration><f>3</f></calibration>"), r"x.xml: no model of a known kind"),
     "several xml": (
         lambda t: metashape_file(metashape_file(t / "a.xml", walk()).with_name("b.xml"), walk()).parent,
-        r"2 files of cameras in it \(a.xml, b.xml\): give the one",
+        r"2 files of cameras in it \(a.xml, b.xml\): give the right one",
     ),
     "no shots": (lambda t: _text(t / "x.json", '[{"shots": {}}]'), r"x.json: no reconstruction with shots"),
     "cut json": (lambda t: _text(t / "x.json", '[{"shots": {'), r"x.json, line 1: no JSON .*cut off"),

@@ -124,7 +124,7 @@ def scan_times(survey: Survey, folder: Path, text: str) -> Scene:
     "text, words",
     [
         (times_text().replace("up", "down"), r"line 2: none of its 8 rows.*\(down/0\).*the passes here are up"),
-        (times_text("up,3,500"), r"line 10: up/3 has the time 500 s, but 103 s in line 5: leave the right one"),
+        (times_text("up,3,500"), r"line 10: up/3 has the time 500 s, but 103 s in line 5: keep the right one"),
         (times_text("up,8,nan"), r"line 10: 'nan' is no time"),
         (times_text("up,8,inf"), r"line 10: 'inf' is no time"),
         (times_text("up,8,1e308"), r"line 10: '1e308' is no time.*leave out rows without"),

@@ -125,7 +125,7 @@ def test_a_crs_in_degrees_or_feet_is_refused(tmp_path: Path) -> None:
 def test_heights_above_a_geoid_are_those_of_the_header_or_said(tmp_path: Path, monkeypatch) -> None:
     path = las_in(tmp_path / "a.laz", "EPSG:6691+6695")
     found = open_cloud(path)
-    assert found.crs == "EPSG:6691" and "heights count from another level (EPSG:6695)" in found.note
+    assert found.crs == "EPSG:6691" and "heights refer to another level (EPSG:6695)" in found.note
     monkeypatch.setattr(cloudchunks, "check_vertical", lambda crs: None)  # its grid is there
     assert (open_cloud(path).crs, open_cloud(path).note) == ("EPSG:6691+6695", "")
 
