@@ -62,7 +62,7 @@ def scan_gnss(survey: Survey, folder: Path, text: str | bytes, crs: str = "auto"
         (table(*((k, {"lat": 3541.4, "lon": 13946.2}) for k in EVERY)), r"line 2, latitude '3541.4'.*NMEA"),
         (table(*((k, {"lat": 356914000, "lon": 1397700000}) for k in EVERY)), r"1e-7 degrees"),
         (table(*((k, {"lat": 139.77, "lon": 35.69}) for k in EVERY)), "lat and lon look exchanged"),
-        (table(head=HEAD + ",lat", more=",1"), r"column 'lat' 2 times \(columns 2, 5\): leave the one"),
+        (table(head=HEAD + ",lat", more=",1"), r"column 'lat' 2 times \(columns 2, 5\): keep the right one"),
         (table() + "time,lon,lat,height\n110,139.77,35.69,40\n", "line 10: a second header with other columns"),
         (table(*((k, {"time": 103}) for k in EVERY)), r"line 3: all 8 rows have the time 103.00 s: give the time"),
         (table(*((k, {"time": 1e5 + 1e3 * k}) for k in EVERY)), r"do not overlap.*look like ms: .*time \(ms\)"),

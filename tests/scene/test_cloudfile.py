@@ -155,7 +155,7 @@ def test_unreadable_files_are_named(tmp_path):
         ("d.ply", whole[:-100]),
     ):
         (tmp_path / name).write_bytes(content)
-        with refused("cut short" if name == "d.ply" else name):
+        with refused("cut off" if name == "d.ply" else name):
             read_cloud(tmp_path / name)
     with refused("no such file"):
         read_cloud(tmp_path / "none.laz")

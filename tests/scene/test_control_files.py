@@ -279,7 +279,7 @@ WRONG: list[tuple[str | bytes, str]] = [
     ("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n", "marks, but no points with coordinates; points need the columns"),
     (f"# crs: EPSG:32654\nname,x,y,z,image,px\nA,{POSITION},000.jpg,5\n", "three columns image, px and py"),
     ("name,x,y\nA,1,2\n", r"gcp.csv: found the columns name, x, y; " + COLUMNS),
-    ("A,10,20,3\n", r"line 1: no header says .*'A,10,20,3'; write .*name,northing,easting,height,code"),
+    ("A,10,20,3\n", r"line 1: neither a header nor .*'A,10,20,3'; write .*name,northing,easting,height,code"),
     ("1 2 3 4 5 a.jpg\n", r"line 1: '1 2 3 4 5 a.jpg' is no coordinate system; .*header: " + COLUMNS),
     ("", r"gcp.csv: the file is empty; " + COLUMNS),
     (POINTS + "name,lat,lon,height\nC,35,139,4\n" + MARKS, "by x, y, z in one table and by lat, lon"),

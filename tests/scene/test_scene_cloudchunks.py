@@ -106,9 +106,9 @@ def test_damaged_and_empty_files_say_what_to_do(tmp_path: Path) -> None:
         with refused(words):
             open_cloud(tmp_path / name)
     for name, words in (
-        ("cut.las", "cut.las.* cut short"),
-        ("cut.laz", "cut.laz.* cut short"),
-        ("nan.ply", "nan.ply: 1 points are at no place .* point 2"),
+        ("cut.las", "cut.las.* cut off"),
+        ("cut.laz", "cut.laz.* cut off"),
+        ("nan.ply", "nan.ply: 1 points have no coordinates .* point 2"),
         ("zero.ply", "zero.ply: it has no points"),
     ):
         with refused(words):

@@ -224,10 +224,10 @@ def test_positions_at_times(tmp_path: Path, name: str) -> None:
 WRONG = [
     ("time,lat,height\n1,2,3\n", "no column lon; found: time, lat, height"),
     ("lat,lon,height\n1,2,3\n", r"no column time \(or image\)"),
-    ("1,2,3,4\n5,6,7,8\n", "line 1: no header says what .* such as time,lat,lon,height"),
+    ("1,2,3,4\n5,6,7,8\n", "line 1: neither a header nor .* such as time,lat,lon,height"),
     ("time,lat,lon,height\n1,nan,2,3\n", "none of 1 rows"),
     ("image,lat,lat_ref,lon,height\na.jpg,33.5,E,70.25,40\n", "g.txt, line 2: lat_ref 'E' is not N or S"),
-    ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: no header says .* such as .*image,lat,lon,height"),
+    ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: neither a header nor .* such as .*image,lat,lon,height"),
     ("image,lat,lon,height\na.jpg;46,5;6,5;539,9\n", "none of 1 rows|fewer cells"),
     ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' may be 1.234 or 1234: write numbers"),
     ("image,lat,lon,height (fathoms)\na.jpg,46.5,6.5,5\n", "column 'height' has lengths in 'fathoms': give m, cm"),
@@ -336,7 +336,7 @@ def test_lists_of_points(tmp_path: Path, name: str) -> None:
     "text", ["1,5000.0,4000.0,100.0,IP\n", "# crs: EPSG:6677\n1,-34000,-5000,3,IP\n", "G1,46.2,6.5,300,0.02,0.03\n"]
 )
 def test_a_list_whose_order_nothing_tells_is_asked_for(tmp_path: Path, text: str) -> None:
-    with refused(r"line \d: no header says .*name,northing,easting,height,code"):
+    with refused(r"line \d: neither a header nor .*name,northing,easting,height,code"):
         control(tmp_path, text)
 
 

@@ -1,8 +1,8 @@
-"""The pages of ``tiegraph mark`` (images of the survey by number, marks as JSON) and of ``tiegraph watch`` (what is
-known, as JSON), served on the loopback, and nothing else.
+"""The pages of ``tiegraph mark`` (images of the survey by number, marks as JSON) and of ``tiegraph watch`` (its state,
+as JSON), served on the loopback, and nothing else.
 
-Other sites that a browser has open must neither read nor write here: a request has to name this very server as its host
-(a name that is rebound to 127.0.0.1 does not), and what changes something has to be JSON from this very origin.
+Other sites open in a browser must neither read nor write here: a request has to name this very server as its host
+(a name rebound to 127.0.0.1 does not), and a request that changes data has to be JSON from this very origin.
 """
 
 import json
@@ -30,7 +30,7 @@ _POLICY = (
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page on 127.0.0.1; port 0 = any that is free. Raises InputError for a port that cannot be had."""
+    """Serves a page on 127.0.0.1; port 0 = any that is free. Raises InputError for a port that is not available."""
 
     daemon_threads = True
 
@@ -38,21 +38,21 @@ class PageServer(ThreadingHTTPServer):
         try:
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
-            raise InputError(f"--port {port}: cannot be had ({error}); give another, or 0 for any") from error
+            raise InputError(f"--port {port}: not available ({error}); give another, or 0 for any") from error
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """How a browser may call this server."""
+        """Host names by which a browser may call this server."""
         return f"127.0.0.1:{self.server_port}", f"localhost:{self.server_port}"
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """The address of the page."""
         return f"http://{self.hosts[0]}/"
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """What both pages answer alike."""
+    """Common answers of both pages."""
 
     server: PageServer
     protocol_version = "HTTP/1.1"
@@ -92,7 +92,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class WatchServer(PageServer):
-    """Serves the page of a folder that is watched, from now on until ``close``."""
+    """Serves the page of a watched folder until ``close``."""
 
     def __init__(self, port: int) -> None:
         super().__init__(port, _WatchHandler)
@@ -100,7 +100,7 @@ class WatchServer(PageServer):
         threading.Thread(target=self.serve_forever, daemon=True, name="watch-page").start()
 
     def show(self, state: dict[str, Any]) -> None:
-        """What ``/state.json`` says from now on."""
+        """The content of ``/state.json`` from now on."""
         self.state = json.dumps(state, separators=(",", ":")).encode()
 
     def close(self) -> None:
@@ -161,7 +161,7 @@ class _MarkHandler(_Handler):
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
 
     def do_POST(self) -> None:
-        """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
+        """Set a mark, {point, image, xy}, or remove it, xy null; the state that follows."""
         if not self._allowed(changes=True):
             return
         length = self.headers.get("Content-Length", "")
