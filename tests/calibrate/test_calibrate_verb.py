@@ -141,7 +141,7 @@ def test_images_of_different_sizes_are_refused_by_name(capsys, tmp_path):
 
 def test_names_that_do_not_say_the_instant_are_refused(capsys, tmp_path):
     pictures(tmp_path / "images", ["cam0/a.png", "cam0/b.png", "cam1/c.png", "cam1/d.png"])
-    assert "do not say which were taken at one instant (as cam0/a.png and cam1/c.png)" in refused(capsys, tmp_path)
+    assert "do not show which were taken at one instant (as cam0/a.png and cam1/c.png)" in refused(capsys, tmp_path)
     assert "cam0: the board was found in none" in refused(capsys, tmp_path, "--frames", "order")
 
 
@@ -158,7 +158,7 @@ def test_wrong_words_are_refused_before_images_are_read(capsys, tmp_path):
 
 def test_a_file_that_is_there_is_kept(capsys, tmp_path):
     (tmp_path / "rig.toml").write_text("mine")
-    assert "rig.toml is there already" in refused(capsys, tmp_path)
+    assert "rig.toml exists already" in refused(capsys, tmp_path)
     assert (tmp_path / "rig.toml").read_text() == "mine"
     assert main(["calibrate", str(tmp_path), "--board", WORDS, "-o", str(tmp_path / "rig.yaml")]) == 2
     assert "ends in .toml" in capsys.readouterr().err

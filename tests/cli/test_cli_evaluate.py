@@ -39,7 +39,7 @@ def test_two_clouds_are_judged_and_written(tmp_path: Path, capsys) -> None:
     assert np.abs(np.median(made.x) - 382300) < 5 and (out / "m3c2.laz").exists() and (out / "m3c2.png").exists()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "judged", "reference.las"]  # no scratch left
     assert main(["evaluate", cloud, reference, "-o", str(out)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("crs", "said"), [("EPSG:32654", True), ("EPSG:32654+6695", False)])
@@ -55,7 +55,7 @@ def test_heights_from_another_level_are_said(tmp_path: Path, capsys, crs: str, s
         cloud.write(tmp_path / name)
         files.append(str(tmp_path / name))
     assert main(["evaluate", *files]) == 0
-    assert ("heights count from another level (EPSG:6695)" in capsys.readouterr().out) == said
+    assert ("heights refer to another level (EPSG:6695)" in capsys.readouterr().out) == said
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_a_reference_that_is_cut_short_or_no_cloud_is_named_once(tmp_path: Path,
     (tmp_path / "cut.las").write_bytes(whole[: len(whole) // 2])
     header = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {a}\n" for a in "xyz")
     (tmp_path / "hole.ply").write_text(f"{header}end_header\nnan 0 0\n")
-    for name, why in (("cut.las", "is cut short"), ("hole.ply", "1 points are at no place"), ("a.xyz", "convert it")):
+    for name, why in (("cut.las", "is cut off"), ("hole.ply", "1 points have no coordinates"), ("a.xyz", "convert it")):
         assert main(["evaluate", cloud, str(tmp_path / name)]) == 2
         said = capsys.readouterr().err
         assert why in said and said.count(name) == 1

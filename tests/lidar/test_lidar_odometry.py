@@ -121,7 +121,7 @@ def test_trajectory_and_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     lidar(folder, again, LidarSettings(far_m=60, columns=_COLUMNS))
     assert (again / "map.laz").read_bytes() == (out / "map.laz").read_bytes()
     assert main(["lidar", str(folder), "-o", str(out)]) != 0
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_what_cannot_be_used_is_said_before_anything_is_written(

@@ -119,7 +119,7 @@ def test_a_file_that_is_there_is_not_written_over(start, tmp_path, capsys):
     out = tmp_path / "vo.tum"
     out.with_suffix(".csv").write_text("mine")
     assert run(start, "--rig", start / "rig.toml", "-o", out) == 2
-    assert "vo.csv is there already" in capsys.readouterr().err
+    assert "vo.csv exists already" in capsys.readouterr().err
     assert out.with_suffix(".csv").read_text() == "mine" and not out.exists()
 
 

@@ -217,7 +217,7 @@ def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
     out = _run(tmp_path / "turned", _given(nominal=False, fixed=True), turned)
     _receipt(out, contradictions=["c is turned by 0.2 deg"])
     found = rig_file(out)
-    assert says(found.said, "held by the run but for c, which the images turned or moved")
+    assert says(found.said, "held by the run except for c, which the images rotated or moved")
     assert "# contradicted in that run: c is turned by 0.2 deg" in found.text
     np.testing.assert_allclose(_sensor_from_rig(_read(found.text))[1], poses[1], rtol=0, atol=1e-9)
 
@@ -225,7 +225,7 @@ def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
 @pytest.mark.parametrize("georef", [True, False])
 def test_lengths_that_nothing_tells_in_metres_are_refused_in_a_rig_toml(tmp_path: Path, georef: bool) -> None:
     out = _run(tmp_path / "out", _given(), _poses(0.37, 1.5), scale_source="none", georef=georef)
-    with refused(r"nothing in this run told metres, .* of head .* `tiegraph georef .*rig_config"):
+    with refused(r"this run has no metric scale, .* of head .* `tiegraph georef .*rig_config"):
         rig_file(out)
     found = rig_file(out, "rig_config")
     assert says(found.said, "lengths are in model units")
@@ -240,7 +240,7 @@ def test_a_rig_whose_cameras_have_their_own_times_says_what_is_left_out(tmp_path
     spec = _read(found.text)
     _same(spec, _poses(0.3))
     assert spec.fixed and all(s.params == tuple(GUESS) for s in spec.sensors)
-    assert sum("its calibration is as given, though the images wanted it" in s for s in found.said) == 3
+    assert sum("its calibration is as given, though the images differ from it by" in s for s in found.said) == 3
     assert any("do not fire at one instant" in s and "b -31 ms, c +11.5 ms" in s for s in found.said)
     assert "-31 ms" in found.text
     receipt = tmp_path / "out" / "receipts" / "sparse.json"
@@ -292,12 +292,12 @@ def test_cameras_that_hang_on_a_wide_one_stay_as_given(tmp_path: Path) -> None:
     assert [(s.name, s.role) for s in spec.sensors] == [("a", WIDE), ("b", "side"), ("c", "side")]
     assert [s.params for s in spec.sensors] == [tuple(FOUND), tuple(GUESS), tuple(GUESS)]
     _same(spec, _poses(0.3))
-    assert "head: b, c hang on it: places and lenses are as given" in found.said
+    assert "head: b, c depend on it: poses and lenses are as given" in found.said
 
 
 def test_hanging_cameras_have_the_unit_of_the_wide_ones_in_a_file_without_one(tmp_path: Path) -> None:
     out = _with_wide(tmp_path / "out", 2)
-    with refused("nothing in this run told metres"):
+    with refused("this run has no metric scale"):
         rig_file(out)
     (config,) = json.loads(rig_file(out, "rig_config").text)
     places = [np.linalg.norm(c["cam_from_rig_translation"]) for c in config["cameras"][1:]]
@@ -319,7 +319,7 @@ def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:
         (out, r"has no sparse model yet; `tiegraph sparse .*out` makes it"),
         (_run(tmp_path / "views", _given(sensors=views), _poses(0.3)), r"views of panoramas, .* give --rig panorama"),
         (damaged, r"world.json cannot be read any more .* finish that run again"),
-        (two, r"2 rigs \(x, y\), and a rig.toml holds one; take --format rig_config"),
+        (two, r"2 rigs \(x, y\), but a rig.toml has one; take --format rig_config"),
     ):
         with refused(words):
             rig_file(folder)
@@ -352,7 +352,7 @@ def test_the_verb_writes_what_colmap_and_tiegraph_read(tmp_path: Path, capsys: p
     (mine,) = read_rig_file(path, RIG)
     np.testing.assert_allclose(_sensor_from_rig(mine)[2], poses[2], atol=1e-9)
     assert main(["rig", str(out), "-o", str(path)]) == 2
-    assert "rig_config.json is there already" in capsys.readouterr().err
+    assert "rig_config.json exists already" in capsys.readouterr().err
     assert main(["rig", str(tmp_path / "no")]) == 2
     assert "is not a run folder" in capsys.readouterr().err
 

@@ -90,7 +90,12 @@ def test_volumes_over_a_level_are_those_of_the_plane(run, tmp_path, capsys):
     assert found["area"] == pytest.approx(100) and found["seen"] == 1 and found["unit"] == "m"
     assert found["net"]["value"] == pytest.approx((0.1 * 10 + 0.2 * 9) * 100, rel=1e-3) == found["cut"]["value"]
     text = capsys.readouterr().out
-    assert "cut 280.0" in text and "m3" in text and "base: level at 40.000" in text and "lies in the world" in text
+    assert (
+        "cut 280.0" in text
+        and "m3" in text
+        and "base: level at 40.000" in text
+        and "accuracy of the survey in the world" in text
+    )
     (found,) = measured(run, tmp_path, "--surface", "dtm")
     assert abs(found["net"]["value"]) < 0.01 and "slope 22.4%" in found["base"]
     (found,) = measured(run, tmp_path, "--base", str(run))

@@ -76,7 +76,7 @@ def test_a_box_that_grew_by_5_cm(tmp_path: Path, capsys) -> None:
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         f"changes.{e}" for e in ("csv", "json", "laz", "png")
     ]
-    with refused("is there already"):
+    with refused("exists already"):
         compare_epochs((first, second), tmp_path / "out", EpochOptions())
 
 
@@ -143,7 +143,7 @@ def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> 
 def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Path, capsys) -> None:
     folder = finished.after("cloud", tmp_path / "run")
     assert main(["compare", "--passes", str(folder), "-o", str(tmp_path / "passes")]) == 0
-    assert "what both share is not told" in capsys.readouterr().out
+    assert "common errors of both do not show" in capsys.readouterr().out
     found = json.loads((tmp_path / "passes" / "changes.json").read_text())
     assert abs(found["differences"]["median m"]) < 0.05 and found["differences"]["core points"] > 100
     shutil.copyfile(folder / "cloud.laz", tmp_path / "reference.laz")
@@ -182,5 +182,5 @@ def test_the_poses_of_a_run_without_a_cloud_are_compared(finished, tmp_path: Pat
 def test_one_pass_has_nothing_to_compare_with(finished, tmp_path: Path) -> None:
     folder = finished.after("cloud", tmp_path / "run")
     shutil.rmtree(folder / "depth")
-    with refused("depth maps of 0 passes, and two are needed: run it to the stage dense"):
+    with refused("depth maps of 0 passes, but two are needed: run it to the stage dense"):
         compare_passes(Run(folder, None, merged({})), tmp_path / "out")  # type: ignore[arg-type]

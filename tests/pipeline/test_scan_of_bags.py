@@ -84,7 +84,7 @@ def test_topics_of_a_bag_are_the_cameras_of_a_rig(tmp_path: Path, form: str) -> 
     assert said(project, "right/image_raw/compressed begins +0.0130 s after")
     assert said(project, ":/left/image_raw (by the stamps of their messages)")
     assert said(project, "pictures lie 13.0 ms from the instants")
-    assert said(project, "begins at 2024-05-01 12:00:00 UTC by the stamp of its first message, which it was received")
+    assert said(project, "begins at 2024-05-01 12:00:00 UTC by the stamp of its first message, which was received")
     assert not said(project, "has positions")
 
 
@@ -213,7 +213,7 @@ def test_pictures_without_stamps_and_broken_ones_are_said(tmp_path: Path) -> Non
     project = scanned(world.bag(tmp_path, "ros1", rows), tmp_path / "out")
     assert said(project, "1 have a stamp that is not later than the one before")
     assert said(project, "by its receipt: its headers have no stamps")
-    assert said(project, "1 of its 20 messages hold no whole picture")
+    assert said(project, "1 of its 20 messages have no whole picture")
     assert 0 <= project.scene().time_s[0] - START_S - world.LATE_S < 0.5
 
 

@@ -141,7 +141,7 @@ def test_videos_of_a_rig_are_aligned_by_their_motion(tmp_path: Path) -> None:
     apart = next(n for n in notes if "from the instants of the first camera" in n)
     assert 10 < float(re.findall(r"lie ([.\d]+) ms", apart)[0]) < 16 and "1 of 10 instants are not in it" in apart
     told = scanned(tmp_path / "in", tmp_path / "told", {"video_offset": ("cam1=0.4",)})
-    assert said(told, r"cam1\.mp4 begins \+0\.4000 s after cam0\.mp4 \(as --scan\.video-offset says\)")
+    assert said(told, r"cam1\.mp4 begins \+0\.4000 s after cam0\.mp4 \(by --scan\.video-offset\)")
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ def test_shots_with_a_pose_become_laz_in_the_world(tmp_path):
         project.posed_shots(tmp_path / "posed")
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     world_of(tmp_path / "out", 2, turn, metric=False)
-    with refused("has no scale, and shots are in metres"):
+    with refused("has no scale, but shots are in metres"):
         project.posed_shots(tmp_path / "posed")
     world_of(tmp_path / "out", 1, turn)
     (file,) = project.posed_shots(tmp_path / "posed")

@@ -100,14 +100,14 @@ def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, tu
 def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tmp_path: Path) -> None:
     start = start_of(survey, tmp_path / "start")
     both = opened(survey, tmp_path / "out", start=start, trajectory=start)
-    with refused(r"--start .*start and --trajectory .*start: both give poses: leave one out"):
+    with refused(r"--start .*start and --trajectory .*start: both give poses: omit one"):
         both.run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
 
 
 def test_a_wrong_start_is_refused_before_anything_is_stored(survey: worlds.Survey, tmp_path: Path) -> None:
     (tmp_path / "notes.json").write_text("{}")
-    with refused("notes.json: no model that is known; give a COLMAP model"):
+    with refused("notes.json: no model of a known kind; give a COLMAP model"):
         opened(survey, tmp_path / "out", start=tmp_path / "notes.json").run("scan")
     assert not (tmp_path / "out" / "tiegraph.toml").exists()
     start = start_of(survey, tmp_path / "start")

@@ -131,7 +131,7 @@ def test_what_a_survey_costs_grows_with_its_images():
         (["--rig", "none.toml", "--distance", "1"], "none.toml"),
         ([*WALL, "--shpe", "canal"], "shpe"),
         (["--compare", "nowhere"], "plan.json"),
-        ([*PAPER, "--distance", "1", "-o", "."], "is there already"),
+        ([*PAPER, "--distance", "1", "-o", "."], "exists already"),
     ],
 )
 def test_misuse_is_named_before_anything_is_made(arguments, named, capsys, tmp_path, monkeypatch):

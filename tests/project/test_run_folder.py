@@ -101,8 +101,8 @@ def test_the_run_folder_of_another_version_is_refused_and_not_touched(proj, tmp_
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ("out/masks", "lies where the results"), ("out/masks/own", "lies where the results"),
-        ("out/pairs.txt", "lies where the results"), ("link", "lies where the results"), (".", "lies in"),
+        ("out/masks", "place of the results"), ("out/masks/own", "place of the results"),
+        ("out/pairs.txt", "place of the results"), ("link", "place of the results"), (".", "lies in"),
         ("out/own.csv", ""), ("out/masks_of_mine", ""), ("elsewhere", ""),
     ],
 )  # fmt: skip

@@ -377,7 +377,7 @@ def test_a_stage_of_which_nothing_comes_ends_no_run(error, tmp_path):
     assert json.loads(run.path("told.txt").read_text()) == "no pair verified" and run.path("second.txt").exists()
     assert run.receipts.read("third")["contradictions"] == ["no pair verified"] and not run.path("third.txt").exists()
     why = {name: text for name, text, _ in status(stages, run)}
-    assert why["third"] == "no pair verified" and why["second"] == "it needs the stage third, of which nothing came"
+    assert why["third"] == "no pair verified" and why["second"] == "it needs the stage third, which has no result"
     (tmp_path / "worse").unlink()
     assert again() == ((["third", "second", "without", "report"], ["local:2"]) if died else ([], []))
     if not died:

@@ -30,7 +30,7 @@ def test_the_whole_report(page: str) -> None:
     """In one offline file, nothing unescaped or unfilled."""
     for text in (
         "<h1>quay survey</h1>",
-        "49 of 60 images (82 %) are registered in one connected model; the place of 5 more rests on the rig",
+        "49 of 60 images (82 %) are registered in one connected model; the pose of 5 more comes from the rig",
         "images placed by the rig",
         "EPSG:32654 (WGS 84 / UTM zone 54N)",
         "Held in the world by 3 control points",
@@ -233,8 +233,8 @@ def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_pa
     page = write_report(folder, SMALL).read_text(encoding="utf-8")
     assert "usable with care" not in page
     assert page.count(f"S{text[1:]}") == 2, "on the first page, and where the engineer reads"
-    assert page.count("<td>rig as given</td>") == 2 and "What says what" in page
-    shown = page[page.index("What says what") :]
+    assert page.count("<td>rig as given</td>") == 2 and "Statements of the sources" in page
+    shown = page[page.index("Statements of the sources") :]
     assert shown.index(">1.1128<") < shown.index("<td>heading<")  # statements of one quantity stand together
 
 

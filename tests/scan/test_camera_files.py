@@ -288,9 +288,9 @@ def test_a_camchain_is_a_rig(tmp_path: Path, flow: bool) -> None:
 @pytest.mark.parametrize(
     "old, new, words",
     [
-        ("[1.0, 0.0, 0.0,", "[1e999, 0.0, 0.0,", r"cam1: T_cn_cnm1 is no rotation and place"),
-        ("T_cn_cnm1", "T_cam_imu", r"camchain.yaml, cam1: no T_cn_cnm1: where it is .* or give a rig.toml"),
-        ("[1.0, 0.0, 0.0,", "[2.0, 0.0, 0.0,", r"cam1: T_cn_cnm1 is no rotation and place"),
+        ("[1.0, 0.0, 0.0,", "[1e999, 0.0, 0.0,", r"cam1: T_cn_cnm1 is no rotation and position"),
+        ("T_cn_cnm1", "T_cam_imu", r"camchain.yaml, cam1: no T_cn_cnm1: its pose .* or give a rig.toml"),
+        ("[1.0, 0.0, 0.0,", "[2.0, 0.0, 0.0,", r"cam1: T_cn_cnm1 is no rotation and position"),
         ("[0.0, 0.0, 1.0, 0.0]", "[0.0, 0.0, 1.0]", r"cam1: T_cn_cnm1: 15 numbers, 16 expected"),
         ("0.5]", "500.0]", r"'cam1' is 500 m from 'cam0', more than 100 m: are these millimetres"),
         ("pinhole", "omni", r"camchain.yaml, cam0: intrinsics \(xi, fu, fv, pu, pv\): 4 numbers, 5 expected"),
@@ -429,37 +429,37 @@ def test_words_that_cannot_be_meant(tmp_path: Path, text: str, words: str, capsy
     "text, words",
     [
         (_but("agisoft frame", "<b1>", "<b2>0.5</b2><b1>"),
-         r"b2 = 0.5, which no camera model of COLMAP has here; optimise"),
+         r"b2 = 0.5, a term that no camera model of COLMAP has; optimise"),
         (_but("agisoft frame", "<k1>", "<k4>-0.01</k4><k1>"),
-         r"k4 = -0.01, which no .* optimise or calibrate without it"),
-        (_but("agisoft frame", "<k1>", "<p3>0.01</p3><k1>"), r"p3 = 0.01, which no"),
+         r"k4 = -0.01, a term that no .* optimise or calibrate without it"),
+        (_but("agisoft frame", "<k1>", "<p3>0.01</p3><k1>"), r"p3 = 0.01, a term that no"),
         (_but("agisoft frame", "<f>2900.0</f>", "<f>29x0</f>"), r"f = '29x0': expected a number"),
-        (_but("agisoft fisheye", "<f>2900.0</f>", "<fy>2900.0</fy><f></f>"), r"no calibration that is known|f = ''"),
+        (_but("agisoft fisheye", "<f>2900.0</f>", "<fy>2900.0</fy><f></f>"), r"of the calibration is unknown|f = ''"),
         (_but("kalibr fov", "[4000, 3000]", "[4000, 1e999]"), r"images of 4000 x 1000000000: at most"),
         (_but("agisoft frame", ">frame<", ">spherical<"), r"a camera of type spherical: read are frame and fisheye"),
         (_but("agisoft frame", "<width>4000</width>", ""), r"width and height are missing"),
         (_but("agisoft frame", "<f>2900.0</f>", "<fx>2900</fx><fy>2900</fy>"), r"old version \(fx, fy\): p1 = 0.002"),
-        (_but("fisheye62", '"k1"', '"k5": 0.1, "k1"'), r"k5 = 0.1, which no .* calibrate as fisheye_opencv"),
+        (_but("fisheye62", '"k1"', '"k5": 0.1, "k1"'), r"k5 = 0.1, a term that no .* calibrate as fisheye_opencv"),
         (_but("brown", "brown", "dual"), r"projection_type dual: read are perspective"),
         (_but("brown", '"width": 4000', '"width": 0'), r"width and height are missing"),
         (_but("brown", "0.71", '"x"'), r"focal_y = 'x': expected a finite number"),
         (_but("brown", "}}", "}"), r"not valid JSON"),
-        (_but("kalibr omni", "[0.0, 0.0,", "[0.1, 0.0,"), r"xi = 1.3: k1 = 0.1, which no .* equidistant"),
+        (_but("kalibr omni", "[0.0, 0.0,", "[0.1, 0.0,"), r"xi = 1.3: k1 = 0.1, a term that no .* equidistant"),
         (_but("kalibr eucm", "eucm", "ds"), r"ds with none: read are pinhole|4 expected"),
         (_but("plumb_bob", "plumb_bob", "inverse_brown_conrady"),
          r"distortion_model inverse_brown_conrady: read are plumb_bob"),
         (_but("plumb_bob", "[2900.0, 0,", "[2900.0, 3.0,"), r"a skew of 3"),
         (_but("ros2 message", "binning_x: 0", "binning_x: 2"), r"binning_x = 2: the camera_info is of binned images"),
         (_but("plumb_bob", "camera_matrix", "camera_matrix: 1\ncamera_matrix"), r"2 camera matrices; keep those of"),
-        (_but("kalibr fov", "cam0:", "cam0:\n  camera_model: pinhole\n  more:"), r"each camera has one camera_model"),
+        (_but("kalibr fov", "cam0:", "cam0:\n  camera_model: pinhole\n  more:"), r"each camera needs one camera_model"),
         (_but("ros2 message", "x_offset: 0", "x_offset: 64"), r"x_offset = 64: the camera_info is of"),
         (COLMAP + "2 PINHOLE 64 48 60 60 32 24\n", r"2 cameras \(1, 2\); keep the one"),
         (COLMAP.replace("-0.002\n", "\n"), r"line 3: OPENCV has 8 parameters .*, got 7"),
         (KALIBR + KALIBR.replace("cam0", "cam1"), r"2 cameras \(cam0, cam1\); keep the one"),
-        (KALIBR.replace("pinhole", "omni"), "xi = 60: k1 = 0.01, which no camera model|5 expected"),
+        (KALIBR.replace("pinhole", "omni"), "xi = 60: k1 = 0.01, a term that no camera model|5 expected"),
         (KALIBR.replace(", 24.0]", "]"), r"intrinsics \(fu, fv, pu, pv\): 3 numbers, 4 expected"),
         (ROS.replace(", 0.0, 0.0, 1.0]", "]"), "camera_matrix: 6 numbers, 9 expected"),
-        ("hello: world\n", "no calibration that is known; known are COLMAP"),
+        ("hello: world\n", "the format of the calibration is unknown; known are COLMAP"),
     ],
 )  # fmt: skip
 def test_files_that_cannot_be_meant(tmp_path: Path, text: str, words: str) -> None:
@@ -477,4 +477,4 @@ def test_several_cameras_need_a_rig_file_and_photographs_of_others_keep_theirs(t
     scene = scan(tmp_path / "two", camera=WORDS)
     taken = next(s.camera for s in scene.all_sensors if s.camera.width == 64)
     np.testing.assert_allclose(taken.params, PARAMS)
-    assert says(scene.notes, "1 other cameras keep what EXIF says")
+    assert says(scene.notes, "1 other cameras keep the values of EXIF")

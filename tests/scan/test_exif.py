@@ -161,7 +161,9 @@ def test_a_digital_zoom_is_another_camera(tmp_path: Path, plane: bool) -> None:
 def test_positions_that_repeat_are_said(tmp_path: Path) -> None:
     for k in range(6):
         picture(tmp_path / f"{k}.jpg", exif=exif_of(lat=35.5 + k // 3 / 1000, lon=139.25, alt=100.0 + k))
-    assert any("4 of 6 positions are those of another frame" in n for n in scan(tmp_path, ScanSettings()).notes)
+    assert any(
+        "4 of 6 positions are identical to those of other frames" in n for n in scan(tmp_path, ScanSettings()).notes
+    )
 
 
 def test_damaged_entries_count_as_not_written() -> None:
@@ -202,7 +204,7 @@ def test_no_exif_position_in_range_one_and_the_same_for_all(tmp_path: Path) -> N
         picture(tmp_path / "same" / f"{k}.jpg", exif=exif_of(lat=35.69, lon=139.77, alt=40.0))
         picture(tmp_path / "one" / f"{k}.jpg", exif=exif_of(lat=35.69, lon=139.77) if k == 1 else Image.Exif())
     none, same = scan(tmp_path / "none"), scan(tmp_path / "same")
-    assert says(none.notes, "latitude 91, .*as in 4 of 4 images; mend it in the files") and none.prior == "none"
+    assert says(none.notes, "latitude 91, .*as in 4 of 4 images; correct the files") and none.prior == "none"
     assert says(same.notes, "EXIF: all 4 positions are lat 35.69.*Not used") and same.prior == "none"
     assert says(scan(tmp_path / "one").notes, "1 of 4 frames has a position.*not used")
 

@@ -62,7 +62,7 @@ def scan_gnss(survey: Survey, folder: Path, text: str | bytes, crs: str = "auto"
         (table(*((k, {"lat": 3541.4, "lon": 13946.2}) for k in EVERY)), r"line 2, latitude '3541.4'.*NMEA"),
         (table(*((k, {"lat": 356914000, "lon": 1397700000}) for k in EVERY)), r"1e-7 degrees"),
         (table(*((k, {"lat": 139.77, "lon": 35.69}) for k in EVERY)), "lat and lon look exchanged"),
-        (table(head=HEAD + ",lat", more=",1"), r"column 'lat' 2 times \(columns 2, 5\): leave the one"),
+        (table(head=HEAD + ",lat", more=",1"), r"column 'lat' 2 times \(columns 2, 5\): keep the right one"),
         (table() + "time,lon,lat,height\n110,139.77,35.69,40\n", "line 10: a second header with other columns"),
         (table(*((k, {"time": 103}) for k in EVERY)), r"line 3: all 8 rows have the time 103.00 s: give the time"),
         (table(*((k, {"time": 1e5 + 1e3 * k}) for k in EVERY)), r"do not overlap.*look like ms: .*time \(ms\)"),
@@ -78,7 +78,7 @@ def test_gnss_files_that_cannot_be_meant(one_pass: Survey, tmp_path: Path, text:
 
 
 def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Path) -> None:
-    with refused("several images are called so: write down/cam0/000000.jpg"):
+    with refused("several images have this name: write down/cam0/000000.jpg"):
         scan_gnss(two_passes, tmp_path, by_image(images=["000000.jpg", "000001.jpg"]))
 
 
@@ -100,7 +100,7 @@ def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Pat
         (table(head=HEAD + ",heading", more=",1e9"), r"line 2: 'heading' '1e9' is no angle in degrees: not used", 8),
         (table((7, {"lat": 40.19})), r"line 9: lat 40.190000, lon 139.770000 lies 499 km from most.*1 of 8 pos", 7),
         (table((7, {"height": 9000})), r"line 9: lat 35.690070, lon 139.770000 lies 9 km", 7),
-        (table(*((k, {"lat": 40.0}) for k in range(4))), r"lies 47\d km.*as 4 of 8 positions do: are these", 8),
+        (table(*((k, {"lat": 40.0}) for k in range(4))), r"lies 47\d km.*as 4 of 8 positions do: two surveys", 8),
         (table(*((k, {"lat": 35.69}) for k in EVERY)), r"all 8 positions are lat 35.690000, lon 139.770000", 8),
         (table(*((k, {"time": 107 - k}) for k in EVERY)), r"line 3: rows are not in time order", 8),
         (table() + row(3) + "\n", r"line 10: 1 rows have the time of another row and are left out, as at 103.00 s", 8),
@@ -110,11 +110,11 @@ def test_short_names_that_several_passes_share(two_passes: Survey, tmp_path: Pat
          r"ellipsoidal_height; passed over, though it may count: altitude \(a height\)", 8),
         (table(*((k, {"time": 100e3 * k + 100}) for k in EVERY)), r"7 of 8 frames have no position.*look like ms", 1),
         ("# H\xf6he\n".encode("latin-1") + table().encode(), r"line 1: not UTF-8", 8),
-        (by_image(f"{ALL[2]},35.690020,139.77,40"), r"line 10: image 'up/cam0/000002.jpg' stands there twice", 8),
+        (by_image(f"{ALL[2]},35.690020,139.77,40"), r"line 10: image 'up/cam0/000002.jpg' is listed twice", 8),
         (by_image("up/cam1/000002.jpg,35.70,139.77,40"), r"line 10: up/cam1/000002.jpg lies 110\d.\d m from", 8),
         (by_image("x.jpg,35.7,139.77,40"), r"1 rows name images that are not here, such as x.jpg \(line 10\)", 8),
         (by_image(f"{ALL[7]},40.19,139.77,40", images=ALL[:7]), r"line 9: lat 40.19.* 499 km.*1 of 8 .*not used", 7),
-        (by_image(*(f"{n},40.19,139.77,40" for n in ALL[5:]), images=ALL[:5]), r"3 of 8 positions do: are", 8),
+        (by_image(*(f"{n},40.19,139.77,40" for n in ALL[5:]), images=ALL[:5]), r"3 of 8 positions do: two", 8),
     ],
 )  # fmt: skip
 def test_gnss_rows_that_are_said(one_pass: Survey, tmp_path: Path, text: str | bytes, words: str, known: int) -> None:

@@ -171,7 +171,7 @@ def since_1980(rows: Table) -> str:
     [
         (lambda rows: sbet(rows, 0.0), "dates", r"do not overlap"),
         (sbet, "seconds", r"it has seconds of the GPS week without a date: give the frames' times"),
-        (lambda rows: gpx([(r[0] - 9 * 3600, *r[1:]) for r in rows]), "dates", r"-9 h would bring .* in local time\?"),
+        (lambda rows: gpx([(r[0] - 9 * 3600, *r[1:]) for r in rows]), "dates", r"-9 h would match .* in local time\?"),
         (lambda rows: weeks(rows).replace("gps_week,gps_sow", "unit,time"), "dates", "do not overlap"),
         (since_1980, "dates", r"look like seconds since 1980 \(GPS\): name the column gps_seconds"),
     ],

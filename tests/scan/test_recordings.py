@@ -173,8 +173,8 @@ def test_numbers_that_are_no_places_or_times(tmp_path: Path, plain: bytes) -> No
 
 TABLES = {
     "stsz": (b"stsz", 8, struct.pack(">I", 2**32 - 1), "4294967295 samples, more than"),
-    "all of one size": (b"stsz", 4, struct.pack(">I", 2**31), "are larger together than the file"),
-    "stts": (b"stts", 4, struct.pack(">I", 2**31), "stts says 2147483648 rows and has room for 1"),
+    "all of one size": (b"stsz", 4, struct.pack(">I", 2**31), "together are larger than the file"),
+    "stts": (b"stts", 4, struct.pack(">I", 2**31), "stts announces 2147483648 rows and has room for 1"),
     "few times": (b"stts", 8, struct.pack(">I", 2), "times of 2 samples of 3"),
     "stsc": (b"stsc", 8, struct.pack(">I", 7), "stsc and stco contradict"),
     "few places": (b"stsc", 12, struct.pack(">I", 0), "stsc and stco have 0 samples, stsz has 3"),
@@ -250,7 +250,7 @@ def test_positions_of_another_time_are_not_used(tmp_path: Path, plain: bytes) ->
     mended = clock(insv(tmp_path, plain, BEGIN.timestamp() + 400), video_offset=("-400",))
     assert mended.start_s == BEGIN.timestamp() and np.isfinite(mended.taken(1.0).lat_deg)
     undated = clock(insv(tmp_path, plain, None))
-    assert undated.places is None and "it does not say when it was recorded" in undated.note
+    assert undated.places is None and "it has no recording time" in undated.note
     told = clock(insv(tmp_path, plain, None), video_offset=(str(BEGIN.timestamp()),))
     assert told.taken(1.0).lat_deg == pytest.approx(48 + 1.5e-5, abs=1e-9)
     many_days = clock(insv(tmp_path, plain, BEGIN.timestamp() + 50 * 3600))
@@ -279,10 +279,10 @@ def test_damaged_trailers_are_named_and_the_video_keeps_its_time(tmp_path: Path,
         return found.note
 
     for gap in (0, 300):
-        assert "trailer cannot be read (it says that it has 2147483648 bytes" in note_of(gap, -40, 2**31)
+        assert "trailer cannot be read (its stated length is 2147483648 bytes" in note_of(gap, -40, 2**31)
         last = note_of(gap, -76, 10**6)
         assert "its last record" in last and "says 1000000 bytes" in last
-    assert "its index says record 7 has 2120 bytes at 4294967295" in note_of(300, 0, 2**32 - 1)
+    assert "its index lists record 7 with 2120 bytes at 4294967295" in note_of(300, 0, 2**32 - 1)
 
 
 # An X5's (Insta360Develop/Desktop-CameraSDK-Cpp, issue 85).

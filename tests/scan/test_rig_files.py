@@ -386,7 +386,7 @@ def test_a_rig_is_not_named_after_its_file(tmp_path: Path) -> None:
         (PAIR + "axis_deg = 190\naxis_sigma_deg = 1\n", "line 22: axis_deg = 190: expected 0 to 180"),
         (PAIR + "axis_deg = 90\naxis_sigma_deg = 0\n", "line 23: axis_sigma_deg = 0: expected"),
         (PAIR + "length = 3\n", "unknown key"),
-        (PAIR, "line 21: the pair says nothing"),
+        (PAIR, "line 21: the pair has no measurement"),
         (2 * (PAIR + "axis_deg = 90\naxis_sigma_deg = 1\n"), "line 25: pair cam0 - cam1 is given twice"),
         (PAIR.replace("cam1", "c"), "expected two of cam0, cam1, cam2"),
         (PAIR.replace('"cam0"', '["cam0"]'), r"line 21: sensors = \[\['cam0'\], 'cam1'\]: expected two of"),

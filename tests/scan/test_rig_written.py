@@ -50,7 +50,13 @@ def _pose(folder: Path, text: str, axes: str, **of_second: str) -> np.ndarray:
 def test_the_file_explains_order_sign_direction_and_frame(written: str) -> None:
     said = " ".join(line.lstrip("# ") for line in written.splitlines() if line.startswith("#"))
     order = ("in this order", "yaw to the right", "then pitch up", "then roll clockwise")
-    for words in (*order, "x forward, y left, z up", "camera to body", "centre is in the body frame", "w first"):
+    for words in (
+        *order,
+        "x forward, y left, z up",
+        "camera to body",
+        "the projection centre in the body frame",
+        "w first",
+    ):
         assert words in said
     assert all(f"# {line}" in written for line in EXPLAINED.splitlines())
     assert "position_m = [0.5, 0.0, 0.0]" in written  # the right camera stands half a metre to the right

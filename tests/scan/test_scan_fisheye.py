@@ -182,7 +182,7 @@ def test_two_circles_side_by_side_are_two_lenses_back_to_back(tmp_path: Path) ->
             left = SIDE * int(name[4])
             expected = np.asarray(whole.crop((left, 0, left + SIDE, SIDE)), float)
             assert np.abs(np.asarray(made, float) - expected).mean() < 2
-    assert says(scene.notes, "taken for upright")
+    assert says(scene.notes, "taken as upright")
 
 
 @pytest.mark.parametrize(("roll", "second"), [(b"89.9", [1, -1, -1]), (b"0.1", [-1, 1, -1]), (b"-90.0", [1, -1, -1])])
@@ -232,8 +232,10 @@ def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) ->
         at = np.asarray(sensor.camera.img_from_cam(rays))
         expected = 120 + FOCAL * np.radians([20, 50, 80])
         assert np.allclose(at[:, 0], expected, atol=0.15) and np.allclose(at[:, 1], 120)
-    assert says(scene.notes, "their distortion starts from what the factory measured")
-    assert any("used whole" in n and "its calibration is a start" in n for n in scene.notes)  # views hold their lens
+    assert says(scene.notes, "their initial distortion is the factory's")
+    assert any(
+        "used whole" in n and "its calibration is an initial value" in n for n in scene.notes
+    )  # views hold their lens
     assert len(scan(tmp_path / "in", ScanSettings(fisheye="views")).all_sensors) == 6
 
 
@@ -241,4 +243,4 @@ def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) ->
 def test_what_does_not_fit_the_circles_is_not_used_and_said(tmp_path: Path, words: bytes) -> None:
     scene = scan(side_by_side(tmp_path / "in", 2, words))
     assert all(s.camera is not None and not np.any(s.camera.params[4:]) for s in scene.all_sensors)
-    assert says(scene.notes, "what the factory measured does not fit the circles")
+    assert says(scene.notes, "the factory's values do not fit the circles")

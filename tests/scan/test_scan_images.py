@@ -102,8 +102,8 @@ def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_na
     (tmp_path / "notes.txt").write_text("flown in the morning")
     names, (counted, odd) = search_images(tmp_path)
     assert names == [*images, "raw.gif"]
-    assert counted.startswith("3 files in 3 folders of the storage passed over, such as ")
-    assert odd == "1 files begin like images but are not named so, and are passed over: a.jpg_original"
+    assert counted.startswith("3 files in 3 folders of the storage skipped, such as ")
+    assert odd == "1 files begin like images but have other names, and are skipped: a.jpg_original"
     reasons = [probe_image(tmp_path / n, ImageTuning()).reason for n in names]
     assert reasons == ["", "", "", "", ".gif files are not read: convert to JPEG, PNG or TIFF"]
 

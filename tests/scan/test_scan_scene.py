@@ -85,10 +85,10 @@ def test_folder_layouts(tmp_path: Path, folders: tuple[str, ...], cameras: int, 
 @pytest.mark.parametrize(
     ("north", "south", "step_s", "cameras", "words"),
     [
-        ({"lat": 35.0}, {"lat": 35.001}, 5, 1, "those of one name are 111 m apart"),
+        ({"lat": 35.0}, {"lat": 35.001}, 5, 1, "images of equal names are 111 m apart"),
         ({"lat": 35.0}, {"lat": 35.00001}, 5, 2, ""),
         ({"hour": 9}, {"hour": 11}, 5, 1, "one folder was taken after the other"),
-        ({"hour": 9}, {"hour": 9, "slower": 2}, 5, 1, "the time between those of one name differs by"),
+        ({"hour": 9}, {"hour": 9, "slower": 2}, 5, 1, "the time between images of equal names differs by"),
         ({"hour": 9}, {"hour": 9}, 5, 2, ""),
     ],
 )
@@ -119,7 +119,7 @@ def test_images_named_by_their_times_are_paired_by_these_though_each_camera_lost
                 stamp = 1662064521.0 + k * step_s + (0.0 if camera == 0 else rng.uniform(-0.004, 0.004))
                 picture(tmp_path / f"cam{camera}" / f"{round(stamp * 1e6)}000.png")
     scene = scan(tmp_path)
-    assert says(scene.notes, "found by the times that their names are")
+    assert says(scene.notes, "found by the times in their names")
     pairs = [n for n in frame_names(scene) if len(n) == 2]
     assert len(pairs) == 28 and scene.frames == 30
     times = np.array([[int(Path(name).stem) for name in sorted(n)] for n in pairs])
@@ -231,7 +231,7 @@ def test_loose_or_sequence_by_the_numbers(tmp_path: Path, pattern: str, count: i
     assert camera.model.name == ("SIMPLE_RADIAL" if loose else "RADIAL")
     if not loose:
         assert scene.sequences == ("all",) and scene.sequence_index.tolist() == list(range(count))
-        assert scene.guessed == ("all",) and says(scene.notes, "if the images bear it out")
+        assert scene.guessed == ("all",) and says(scene.notes, "if the images confirm it")
         assert survey.scan(ScanSettings(layout="sequence")).guessed == ()
         (tmp_path / "times.csv").write_text("image,time\n" + "".join(f"{n},{k}\n" for k, n in enumerate(scene.names)))
         assert survey.scan(times=tmp_path / "times.csv").guessed == ()  # somebody knows when they were taken

@@ -83,12 +83,12 @@ def test_a_start_measures_nothing_and_is_never_in_metres(tmp_path: Path) -> None
     assert not scene.measured_positions().any() and not scene.metric_positions()
     measured = scene.measured()
     assert not measured.has_positions() and not measured.has_orientations()
-    assert says(scene.notes, "its unit and its place are not taken over")
+    assert says(scene.notes, "its unit and its georeference are not used")
     again = Scene.from_json(scene.to_json())
     assert again.started and not again.measured().has_orientations()
     as_trajectory = scan(tmp_path / "in", LOOSE, trajectory=tmp_path / "model")
     assert as_trajectory.measured_positions().all() and not as_trajectory.started
-    assert says(as_trajectory.notes, "model: its unit is taken for metres; give it by --start")
+    assert says(as_trajectory.notes, "model: its unit is taken as metres; give it by --start")
 
 
 def test_its_camera_is_a_start_and_no_calibration(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_names_that_fit_several_images_and_two_of_one_are_errors_that_name_them(
     short = [f"{k:06d}.jpg" for k in range(3)]
     for images, names, words in (
         (papers_rig(tmp_path / "in", ("up", "down"), 1, 3), short,
-         r"000000.jpg .*several images are called so: write down/cam0/000000.jpg or up/"),
+         r"000000.jpg .*several images have this name: write down/cam0/000000.jpg or up/"),
         (papers_rig(tmp_path / "one", (".",), 1, 3), [f"cam0/{n}" for n in short] + short,
          r"000000.jpg and cam0/000000.jpg may both be cam0/000000.jpg"),
     ):  # fmt: skip
@@ -296,13 +296,13 @@ def damaged(write: Write, old: str, new: str) -> Write:
 TWICE = '"a_0"><transform>2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1</transform></camera><camera label="b"><transform>'
 WRONG: dict[str, tuple[Write, str]] = {
     "no such": (lambda t: t / "nowhere", r"--start .*nowhere: no such file or folder; give a COLMAP model"),
-    "empty folder": (lambda t: t, r"--start .*: no model that is known; give .*Metashape exports as XML"),
-    "other file": (lambda t: picture(t / "x.jpg"), r"x.jpg: no model that is known; give a COLMAP"),
-    "other json": (lambda t: _text(t / "x.json", "{}"), r"x.json: no model that is known"),
-    "lens xml": (lambda t: _text(t / "x.xml", "<calibration><f>3</f></calibration>"), r"x.xml: no model that is known"),
+    "empty folder": (lambda t: t, r"--start .*: no model of a known kind; give .*Metashape exports as XML"),
+    "other file": (lambda t: picture(t / "x.jpg"), r"x.jpg: no model of a known kind; give a COLMAP"),
+    "other json": (lambda t: _text(t / "x.json", "{}"), r"x.json: no model of a known kind"),
+    "lens xml": (lambda t: _text(t / "x.xml", "<calibration><f>3</f></calibration>"), r"x.xml: no model of a known"),
     "several xml": (
         lambda t: metashape_file(metashape_file(t / "a.xml", walk()).with_name("b.xml"), walk()).parent,
-        r"2 files of cameras in it \(a.xml, b.xml\): give the one",
+        r"2 files of cameras in it \(a.xml, b.xml\): give the right one",
     ),
     "no shots": (lambda t: _text(t / "x.json", '[{"shots": {}}]'), r"x.json: no reconstruction with shots"),
     "cut json": (lambda t: _text(t / "x.json", '[{"shots": {'), r"x.json, line 1: no JSON .*cut off"),

@@ -124,7 +124,7 @@ def scan_times(survey: Survey, folder: Path, text: str) -> Scene:
     "text, words",
     [
         (times_text().replace("up", "down"), r"line 2: none of its 8 rows.*\(down/0\).*the passes here are up"),
-        (times_text("up,3,500"), r"line 10: up/3 has the time 500 s, but 103 s in line 5: leave the right one"),
+        (times_text("up,3,500"), r"line 10: up/3 has the time 500 s, but 103 s in line 5: keep the right one"),
         (times_text("up,8,nan"), r"line 10: 'nan' is no time"),
         (times_text("up,8,inf"), r"line 10: 'inf' is no time"),
         (times_text("up,8,1e308"), r"line 10: '1e308' is no time.*leave out rows without"),
@@ -144,7 +144,7 @@ def test_times_that_cannot_be_meant(one_pass: Survey, tmp_path: Path, text: str,
     [
         (times_text("down,000001,5"), r"line 10: 1 of 9 rows name frames or images that are not here, such as down/1"),
         (times_text("up,99,500"), r"line 10: 1 of 9 rows .* such as up/99"),
-        (times_text("up,3,103"), r"line 10: up/3 stands there twice, with one time"),
+        (times_text("up,3,103"), r"line 10: up/3 is listed twice, with one time"),
         (times_text("up,000007,106", frames=7), r"line 8, 9: two frames of one pass have the time 106 s"),
         (times_text("up,000007,107000", frames=7), r"line 9: time 107000 s is far from the 103.5 s of its pass"),
         ("image,time\nup/cam0/000001.jpg,1\nup/cam1/000001.jpg,31\nup/cam0/000002.jpg,40\n",
@@ -171,7 +171,7 @@ def test_good_times_say_nothing(one_pass: Survey, two_passes: Survey, tmp_path: 
 def test_a_pass_whose_folders_have_no_name(one_pass: Survey, tmp_path: Path) -> None:
     bare = Survey(one_pass.images / "up")
     scene = scan_times(bare, tmp_path, times_text())
-    assert scene.sequences == ("all",) and says(scene.notes, "line 2: pass 'up' is taken for the only one here")
+    assert scene.sequences == ("all",) and says(scene.notes, "line 2: pass 'up' is taken as the only pass here")
     with refused("the passes here are all"):
         scan_times(bare, tmp_path, times_text("down,0,500"))
 

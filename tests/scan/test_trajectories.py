@@ -39,7 +39,7 @@ def test_kitti_poses_by_frame(one_pass: Survey, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "poses.txt", drive(8)[:, :3].reshape(8, 12))
     assert np.allclose(one_pass.scan(trajectory=tmp_path / "poses.txt").world_from_rig, drive(8), atol=1e-8)
     np.savetxt(tmp_path / "poses.txt", drive(9)[:, :3].reshape(9, 12))
-    with refused("9 poses for 8 frames, and nothing says which"):
+    with refused("9 poses for 8 frames, and no times or names assign them"):
         one_pass.scan(trajectory=tmp_path / "poses.txt")
 
 
@@ -78,7 +78,7 @@ def test_odometry_of_each_pass_is_never_in_one_world(two_passes: Survey, vo: Pat
     scene = two_passes.scan(trajectory=vo)
     assert scene.prior == "odometry" and scene.has_orientations() and not scene.measured_positions().any()
     assert scene.pose_world().tolist() == [0] * 3 + [1] * 3
-    assert says(scene.notes, "each pass in a world of its own")
+    assert says(scene.notes, "each pass in its own world")
     shifted = drive(3)
     shifted[:, 0, 3] += 7
     write_tum(vo / "vo_down.tum", np.arange(3.0), shifted)
@@ -91,7 +91,7 @@ def test_folders_without_a_trajectory_for_a_pass(two_passes: Survey, vo: Path) -
         two_passes.scan(trajectory=vo)
     for name in ("a", "b"):
         write_tum(vo / f"{name}.tum", np.arange(2.0), drive(2))
-    with refused(r"\(a.tum, b.tum\) has the name of a pass in its own \(down, up\)"):
+    with refused(r"\(a.tum, b.tum\) contains the name of a pass \(down, up\)"):
         two_passes.scan(trajectory=vo)
     with refused("no such file or folder"):
         two_passes.scan(trajectory=vo / "nowhere")
@@ -178,7 +178,7 @@ def transforms(poses: dict[str, np.ndarray], prefix: str = "./images/", **more: 
 def test_a_colmap_model_is_a_trajectory(canal: Path) -> None:
     scene = scan(canal / "images", rig=str(canal / "rig.toml"), trajectory=canal / "truth" / "colmap")
     assert scene.prior == "trajectory" and same(scene, truth(canal)) == 20
-    assert says(scene.notes, "colmap: the trajectory is taken as poses of 120 images by their names")
+    assert says(scene.notes, "colmap: the trajectory is read as poses of 120 images by their names")
     assert not says(scene.notes, "body frame")
 
 

@@ -217,7 +217,7 @@ def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> 
             video.write_bytes(b"\0\0\0\x04ftyp" if video.name == "loop.mp4" else b"\0\0\0\x08free" * 3 + b"\0\0")
         found = clock(video)
         assert (found.start_s, found.known, found.utc) == (0.0, False, False)
-        assert f"{video.name}: it does not say when it was recorded" in found.note
+        assert f"{video.name}: it has no recording time" in found.note
     assert clock(tmp_path / "a.mp4", video_offset=(str(START),)).known
 
 

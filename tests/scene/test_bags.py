@@ -229,7 +229,7 @@ def test_a_count_of_messages_that_are_not_there_is_no_crash(tmp_path: Path) -> N
     with refused(r"should have /gps/fix \(sensor_msgs/NavSatFix, 5\), and has none"):
         read_gnss(folder, GnssTuning())
     (folder / "metadata.yaml").write_text("nothing: 1")
-    with refused("cannot be read as a ROS bag .*`ros2 bag reindex` may mend it"):
+    with refused("cannot be read as a ROS bag .*`ros2 bag reindex` may repair it"):
         read_gnss(folder, GnssTuning())
 
 

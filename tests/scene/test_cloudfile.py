@@ -155,7 +155,7 @@ def test_unreadable_files_are_named(tmp_path):
         ("d.ply", whole[:-100]),
     ):
         (tmp_path / name).write_bytes(content)
-        with refused("cut short" if name == "d.ply" else name):
+        with refused("cut off" if name == "d.ply" else name):
             read_cloud(tmp_path / name)
     with refused("no such file"):
         read_cloud(tmp_path / "none.laz")
@@ -232,7 +232,7 @@ def test_more_points_than_there_are_is_refused_before_memory_is_asked_for(tmp_pa
     else:
         properties = "".join(f"property double {c}\n" for c in "xyz")
         path.write_text(f"ply\nformat {kind} 1.0\nelement vertex {10**12}\n{properties}end_header\n1 2 3\n")
-    with refused("a.la" if kind.startswith("la") else f"cut short: its header says {10**12} points"):
+    with refused("a.la" if kind.startswith("la") else f"cut off: its header announces {10**12} points"):
         read_cloud(path)
 
 

@@ -134,7 +134,7 @@ def test_odd_points_are_said(tmp_path) -> None:
     assert len(placed.marks.image) == 3
     said = "\n".join(placed.notes)
     assert "1 marks are given twice" in said
-    assert "line 6: point 'B' is at the very place of 'A' in line 3" in said
+    assert "line 6: point 'B' has the same coordinates as 'A' in line 3" in said
     assert "line 6: 1 of 2 points have less than 2 marks in the survey's images and cannot be used: 'B' (1)" in said
 
 
@@ -152,7 +152,7 @@ def test_marks_outside_are_left_to_be_judged_only_where_copies_of_the_images_hol
     def located(*marks: str, orientation: int = 1):
         rows = "".join(f"{EAST + k} {NORTH} 3 {mark} 00{k}.jpg\n" for k, mark in enumerate(marks))
         found = locate(_odm(tmp_path, rows), scene, orientation=dict.fromkeys(range(4), orientation))
-        assert says(found.notes, "rays will tell")
+        assert says(found.notes, "the rays decide")
         return found.marks
 
     larger = located("190 20", "30 150", "5 5")  # of images twice as large: out to the right, and below
@@ -279,7 +279,7 @@ WRONG: list[tuple[str | bytes, str]] = [
     ("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n", "marks, but no points with coordinates; points need the columns"),
     (f"# crs: EPSG:32654\nname,x,y,z,image,px\nA,{POSITION},000.jpg,5\n", "three columns image, px and py"),
     ("name,x,y\nA,1,2\n", r"gcp.csv: found the columns name, x, y; " + COLUMNS),
-    ("A,10,20,3\n", r"line 1: no header says .*'A,10,20,3'; write .*name,northing,easting,height,code"),
+    ("A,10,20,3\n", r"line 1: neither a header nor .*'A,10,20,3'; write .*name,northing,easting,height,code"),
     ("1 2 3 4 5 a.jpg\n", r"line 1: '1 2 3 4 5 a.jpg' is no coordinate system; .*header: " + COLUMNS),
     ("", r"gcp.csv: the file is empty; " + COLUMNS),
     (POINTS + "name,lat,lon,height\nC,35,139,4\n" + MARKS, "by x, y, z in one table and by lat, lon"),
@@ -297,7 +297,7 @@ WRONG: list[tuple[str | bytes, str]] = [
     (TAGS + "tag36h11:2,1200.5\n", r"line 2: length = 1200.5: .* length \(mm\)"),
     (TAGS + "tag36h11:2,long\n", "line 2: length = long"),
     (TAGS.replace("length", "length,sigma") + "tag36h11:2,1,2\n", "line 2: sigma = 2: .* below the length"),
-    (TAGS + "tag36h11:1,1\n", "line 2: a scale bar needs two names that differ"),
+    (TAGS + "tag36h11:1,1\n", "line 2: a scale bar needs two different names"),
     (TAGS.replace("length", "length (px)") + "tag36h11:2,1\n", "lengths in 'px': give m, cm, mm or ft"),
     (TAGS + "tag36h11:2,1\ntag36h11:2,tag36h11:1,2\n", "line 3: the bar .* line 2 already"),
     # points and marks
@@ -331,7 +331,7 @@ def test_control_files_that_cannot_be_meant_say_where(tmp_path, text: str | byte
     [
         (POINTS, "name,image,px,py\nC,1.jpg,5,6\n", r"marks.csv, line 2: a mark of point 'C', which .* in gcp.csv"),
         (POINTS, "name,image,px,py\nA,1.jpg,five,6\n", r"marks.csv, line 2: 'five' is no number"),
-        (POINTS + MARKS, MARKS, r"both hold marks; leave --marks away"),
+        (POINTS + MARKS, MARKS, r"both contain marks; omit --marks"),
         (POINTS, POINTS, r"both hold points"),
     ],
 )

@@ -221,7 +221,7 @@ def test_heights_of_nmea_are_above_the_ellipsoid(tmp_path: Path) -> None:
     same_places(lacking)
     none = read(tmp_path, rmc() + "".join(gga(k, undulation="") for k in range(COUNT)))
     same_places(none, llh=LLH - [0, 0, UNDULATION])
-    assert says(none.notes, "above the sea, taken as they are")
+    assert says(none.notes, "above the sea, used unchanged")
 
 
 def test_nmea_rows_that_are_left_out(tmp_path: Path) -> None:
@@ -517,7 +517,7 @@ WRONG: list[tuple[str | bytes, str]] = [
     (bytes(range(256)) * 9, "positions.txt: is no text"),
     # a CSV whose times may mean two things
     (csv("gps_time", ["1398600018", "1398600019", "1398600020", "1398600021"]),
-     r"line 2: gps_time 1398600018 may count from 1980 \(GPS\) or from 1970 .*: name the column gps_seconds, or"),
+     r"line 2: gps_time 1398600018 can count from 1980 \(GPS\) or from 1970 .*: name the column gps_seconds, or"),
     (csv("week,sow", [f"264,{SECOND + k}" for k in range(4)]), r"line 2: GPS week 264 is none since 1999.*modulo"),
     (csv("week,sow", [f"2312.5,{SECOND + k}" for k in range(4)]), r"line 2: GPS week 2312.5 is none"),
     (csv("gps_week,sow", [f"2312,{302418000 + k}" for k in range(4)]), r"line 2: sow 302418000 is no second .*ms"),

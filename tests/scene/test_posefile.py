@@ -116,7 +116,7 @@ def test_an_order_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     wild[:, 1:4], wild[:, 4:] = rng.normal(0, 5, (40, 3)), Rotation.random(40, random_state=6).as_quat()
     for rows, order in product((straight, wild), (list(range(8)), W_FIRST)):
-        with refused("a.tum, line 1: the order .* not sure: .*say it in a first line '# time"):
+        with refused("a.tum, line 1: the order .* not sure: .*give it in a first line '# time"):
             read_poses(written(tmp_path, rows[:, order], delimiter=","))
 
 

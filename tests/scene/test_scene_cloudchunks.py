@@ -106,9 +106,9 @@ def test_damaged_and_empty_files_say_what_to_do(tmp_path: Path) -> None:
         with refused(words):
             open_cloud(tmp_path / name)
     for name, words in (
-        ("cut.las", "cut.las.* cut short"),
-        ("cut.laz", "cut.laz.* cut short"),
-        ("nan.ply", "nan.ply: 1 points are at no place .* point 2"),
+        ("cut.las", "cut.las.* cut off"),
+        ("cut.laz", "cut.laz.* cut off"),
+        ("nan.ply", "nan.ply: 1 points have no coordinates .* point 2"),
         ("zero.ply", "zero.ply: it has no points"),
     ):
         with refused(words):
@@ -125,7 +125,7 @@ def test_a_crs_in_degrees_or_feet_is_refused(tmp_path: Path) -> None:
 def test_heights_above_a_geoid_are_those_of_the_header_or_said(tmp_path: Path, monkeypatch) -> None:
     path = las_in(tmp_path / "a.laz", "EPSG:6691+6695")
     found = open_cloud(path)
-    assert found.crs == "EPSG:6691" and "heights count from another level (EPSG:6695)" in found.note
+    assert found.crs == "EPSG:6691" and "heights refer to another level (EPSG:6695)" in found.note
     monkeypatch.setattr(cloudchunks, "check_vertical", lambda crs: None)  # its grid is there
     assert (open_cloud(path).crs, open_cloud(path).note) == ("EPSG:6691+6695", "")
 

@@ -88,7 +88,7 @@ def test_text_of_rigs_is_read_as_binary_is(tmp_path: Path) -> None:
         ("1 1,0 0,0 0,0 0,0 1 0 0 1 a.jpg\n", None, r"images.txt, line 1: neither an image \(.*decimal points"),
         (image(1, "a.jpg") + "1 2\n", None, "line 3: neither an image"),
         ("1 0 0 0 0 1 0 0 1 a.jpg\n", None, "line 1: 0 0 0 0 1 0 0 is no pose"),
-        (image(1, "a.jpg") + image(2, "a.jpg"), None, "line 3: a.jpg or its number 2 stands there twice"),
+        (image(1, "a.jpg") + image(2, "a.jpg"), None, "line 3: a.jpg or its number 2 is listed twice"),
         (image(1, "a.jpg"), "", "cameras.txt: no camera 1, which images.txt has for a.jpg"),
     ],
 )
@@ -178,7 +178,7 @@ def test_nothing_hangs_on_a_rig_that_is_not_calibrated(scene, what):
 def test_a_second_rig_beside_is_refused():
     scene = survey()
     both = scene.with_(rigs=(*scene.rigs, Rig("other", (Sensor("x", lens()),))), rig=np.array([0, 0, 1]))
-    with refused("has 2 rigs or cameras of other kinds: run them apart"):
+    with refused("has 2 rigs or cameras of other kinds: run them separately"):
         carrying(both.with_(sensor=np.where(both.frame == 2, 0, both.sensor)))
 
 

@@ -95,7 +95,7 @@ def test_positions_of_images(tmp_path: Path, name: str) -> None:
     assert [n.replace("_", " ") for n in found.names] == ["I 1.JPG", "I 2.JPG"]
     if "0.04" in BY_IMAGE[name]:
         np.testing.assert_allclose(found.sigma_m, [[0.02, 0.02, 0.04]] * 2)
-    assert says(found.notes, "heights above the sea, taken as they are") == ("msl" in BY_IMAGE[name].lower())
+    assert says(found.notes, "heights above the sea, used unchanged") == ("msl" in BY_IMAGE[name].lower())
     assert np.isnan(found.heading_deg).all() == (name != "Mission Planner")
 
 
@@ -149,7 +149,7 @@ def test_lengths_have_the_unit_of_their_header(tmp_path: Path) -> None:
 def test_the_yaw_of_a_tilted_camera_is_no_heading(tmp_path: Path, pitch: float, heading: float) -> None:
     found = gnss(tmp_path, f"image,lat,lon,height,yaw,pitch,roll\na.jpg,33.5,70.25,40,120,{pitch},0\n")
     np.testing.assert_equal(found.heading_deg, [heading])
-    said = "yaw, pitch, roll: cameras tilted by up to 90 degrees: these angles are passed over"
+    said = "yaw, pitch, roll: cameras tilted by up to 90 degrees: these angles are not used"
     assert (said in found.notes[0]) == (pitch == -90)
 
 
@@ -168,7 +168,7 @@ def test_positions_in_a_grid_of_feet_and_one_whose_x_is_north(tmp_path: Path) ->
         found = gnss(tmp_path, text.format(unit, height))
         np.testing.assert_allclose(found.lat_lon_height, [[40.7, -74.0, 30.48006]], rtol=0, atol=1e-4)
     notes = gnss(tmp_path, "# crs: EPSG:6677\nimage,x,y,z\na.jpg,-5000,-34000,3\n").notes
-    assert says(notes, "IX counts to the north, but x is read as the easting")
+    assert says(notes, "IX is the northing, but x is read as the easting")
 
 
 def test_control_in_degrees_of_the_southern_half(tmp_path: Path) -> None:
@@ -224,10 +224,10 @@ def test_positions_at_times(tmp_path: Path, name: str) -> None:
 WRONG = [
     ("time,lat,height\n1,2,3\n", "no column lon; found: time, lat, height"),
     ("lat,lon,height\n1,2,3\n", r"no column time \(or image\)"),
-    ("1,2,3,4\n5,6,7,8\n", "line 1: no header says what .* such as time,lat,lon,height"),
+    ("1,2,3,4\n5,6,7,8\n", "line 1: neither a header nor .* such as time,lat,lon,height"),
     ("time,lat,lon,height\n1,nan,2,3\n", "none of 1 rows"),
     ("image,lat,lat_ref,lon,height\na.jpg,33.5,E,70.25,40\n", "g.txt, line 2: lat_ref 'E' is not N or S"),
-    ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: no header says .* such as .*image,lat,lon,height"),
+    ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: neither a header nor .* such as .*image,lat,lon,height"),
     ("image,lat,lon,height\na.jpg;46,5;6,5;539,9\n", "none of 1 rows|fewer cells"),
     ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' may be 1.234 or 1234: write numbers"),
     ("image,lat,lon,height (fathoms)\na.jpg,46.5,6.5,5\n", "column 'height' has lengths in 'fathoms': give m, cm"),
@@ -336,15 +336,15 @@ def test_lists_of_points(tmp_path: Path, name: str) -> None:
     "text", ["1,5000.0,4000.0,100.0,IP\n", "# crs: EPSG:6677\n1,-34000,-5000,3,IP\n", "G1,46.2,6.5,300,0.02,0.03\n"]
 )
 def test_a_list_whose_order_nothing_tells_is_asked_for(tmp_path: Path, text: str) -> None:
-    with refused(r"line \d: no header says .*name,northing,easting,height,code"):
+    with refused(r"line \d: neither a header nor .*name,northing,easting,height,code"):
         control(tmp_path, text)
 
 
 def test_a_grid_whose_x_is_north_is_said(tmp_path: Path) -> None:
     notes = control(tmp_path, "# crs: EPSG:6677\nname,x,y,z\nA,-5000,-34000,3\n").notes
-    assert says(notes, "X of JGD2011 / Japan Plane Rectangular CS IX counts to the north, but x is read as")
+    assert says(notes, "X of JGD2011 / Japan Plane Rectangular CS IX is the northing, but x is read as")
     other = control(tmp_path, "# crs: EPSG:6677\nname,easting,northing,z\nA,-5000,-34000,3\n").notes
-    assert not says(other, "counts to the north")
+    assert not says(other, "is the northing, but")
 
 
 def test_coordinates_of_the_world_are_no_degrees(tmp_path: Path) -> None:
@@ -373,7 +373,7 @@ def test_marks_without_a_header(tmp_path: Path, rows: str) -> None:
 def test_rows_behind_a_comment_sign_and_ends_of_names_are_said(tmp_path: Path) -> None:
     found = control(tmp_path, "# crs: EPSG:32652\nname,east,north,height\nP,1,2,3\n#Q,1,3,4\n# a word\n")
     assert any("c.txt, line 4: 1 rows begin with # or % and are passed over" in n for n in found.notes)
-    with refused("line 2: the image 'I' has no suffix, but a word behind it has"):
+    with refused("line 2: the image 'I' has no suffix, but a later word has"):
         control(tmp_path, "EPSG:32652\n1 2 3 4 5 I 1.JPG P\n")
     quoted = control(tmp_path, 'EPSG:32652\n288991 5153277 3 4 5 "I 1.JPG" "P 1"\n')
     assert [(m.image, m.name) for m in quoted.marks] == [("I 1.JPG", "P 1")]

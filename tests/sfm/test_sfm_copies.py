@@ -67,7 +67,7 @@ def test_marks_in_images_as_stored_are_turned_as_exif_says(world, true, orientat
     stored = {3: (camera.width - x, camera.height - y), 6: (y, camera.width - x), 8: (camera.height - y, x)}
     found = _recognised(world, _marked(true, size * np.stack(stored[orientation], axis=1), orientation))
     assert np.linalg.norm(found.marks.xy_px - true.marks.xy_px, axis=1).max() < 2
-    assert any("turned otherwise" in n for n in found.notes)
+    assert any("another EXIF orientation" in n for n in found.notes)
 
 
 def test_marks_of_the_images_themselves_stay_untouched(world, true) -> None:

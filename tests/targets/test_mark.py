@@ -97,7 +97,7 @@ def test_what_a_gcp_list_cannot_hold_a_csv_can(folder: Path, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_files_that_cannot_be_marked_say_why(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="nothing says in which CRS"):
+    with pytest.raises(InputError, match="the CRS of its coordinates is unknown"):
         opened(folder, tmp_path, crs="")
     (tmp_path / "gcp_list.txt").write_text(f"EPSG:32654\n{EAST} {NORTH} 3 1 1 000.png other\n")
     with pytest.raises(InputError, match=r"gcp_list.txt, line 2: point 'other' is not among those of this session"):

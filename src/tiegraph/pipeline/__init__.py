@@ -1,4 +1,4 @@
-"""The pipeline: the table of stages. Whoever has read it has seen the program.
+"""The pipeline: the table of stages, an overview of the whole program.
 
 The glue functions read artefacts, call engines and write artefacts; nothing else does. That of a stage is the
 function of its name in the module of its name, loaded when the stage runs: a worker, a child process or a short
@@ -6,9 +6,9 @@ command loads one engine and not all of them (matplotlib, statistics, the report
 
 ``scan`` writes ``scene.json``; ``candidates``, ``coarse`` and ``network`` each write a copy of their own, with the rig
 checked against the images, calibrated by the coarse model, and the sections cut. Every later stage reads the last,
-``network/scene.json``: what the images say of the rig is a result, and the scan stays what was found in the folder.
+``network/scene.json``: the rig by the images is a result, and the scan keeps what was found in the folder.
 ``sparse`` and ``georef`` see ``Scene.measured()``: positions that a trajectory carried over a GNSS gap, and odometry
-with a world of its own for each pass, serve the choice of pairs and never hold or judge a model.
+with its own world for each pass, serve the choice of pairs and never constrain or test a model.
 """
 
 from contextlib import suppress
@@ -28,14 +28,14 @@ def _glue(name: str, run: Any) -> Outcome:
 
 
 def load(until: str | None = None) -> None:
-    """Import the glue of all stages up to and including one, as far as it can be: a stage says itself what it lacks."""
+    """Import the glue of all stages up to and including one, as far as possible: a stage reports missing parts."""
     for stage in needed(STAGES, until):
         with suppress(ImportError):
             import_module(f"tiegraph.pipeline.{stage.name}")
 
 
 def _forget_matches(folder: Path) -> None:
-    """Clear what match owns in the shared database."""
+    """Clear the rows of match in the shared database."""
     import_module("tiegraph.pipeline.match").forget_matches(folder)
 
 
@@ -43,7 +43,7 @@ def _stage(name: str, *what: Any, **more: Any) -> Stage:
     return Stage(name, partial(_glue, name), *what, **more)
 
 
-# What SQLite keeps beside the database while it works.
+# SQLite's files beside the database while it works.
 _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal"))
 
 # fmt: off

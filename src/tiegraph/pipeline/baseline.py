@@ -1,4 +1,4 @@
-"""Glue of `compare --baseline`: a block of a finished survey, laid out as one of its own, and what was made of it."""
+"""Glue of `compare --baseline`: a block of a finished survey as a survey of its own, and the results of each method."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +37,7 @@ _BLOCK, _OWN = "block.json", "tiegraph"
 class Block:
     """A part of a survey as a folder: ``images`` (links to the user's files) and a run folder of each method.
 
-    ``scene``: the survey's, of these images alone; ``whole``: they are all there are, so the survey is its own side.
+    ``scene``: the survey's, of these images alone; ``whole``: they are all its images, so the survey is its own side.
     """
 
     folder: Path
@@ -47,24 +47,24 @@ class Block:
 
     @property
     def images(self) -> Path:
-        """The images, as the user's folder has them; of a whole survey that folder."""
+        """The images, as in the user's folder; for a whole survey that folder."""
         return self.run.inputs.images if self.whole else self.folder / "images"
 
     @property
     def silent(self) -> tuple[str, ...]:
-        """Inputs that tell nothing of these images: GNSS where all of them lie in an outage."""
+        """Inputs without data for these images: GNSS if all of them lie in an outage."""
         return () if self.run.inputs.gnss is None or self.scene.measured_positions().any() else ("gnss",)
 
     def side(self, name: str) -> Path:
-        """Where the run of a method is."""
+        """The run folder of a method."""
         return self.run.folder if name == _OWN and self.whole else self.folder / name
 
 
 def lay_out(run: Run, sample: int, out: Path) -> Block:
-    """A block of about ``sample`` images of a finished run as links below ``out``; the same again goes on there.
+    """A block of about ``sample`` images of a finished run as links below ``out``; the same call again continues there.
 
-    Raises InputError for a run without a model, images that are no files of the user's folder, and an ``out`` that
-    holds something else.
+    Raises InputError for a run without a model, images that are no files of the user's folder, and an ``out`` with
+    other contents.
     """
     check_format(run.folder)
     if not run.path("sparse", "world").is_dir():
@@ -80,7 +80,7 @@ def lay_out(run: Run, sample: int, out: Path) -> Block:
     said = {"format": 1, "survey": str(run.folder), "images": [part.source_name(k) for k in range(len(part))]}
     path = out / _BLOCK
     if out.exists() and any(out.iterdir()) and not (path.exists() and load_json(path) == said):
-        raise InputError(f"-o {out}: it holds something else than this block of {run.folder}: give another folder")
+        raise InputError(f"-o {out}: it contains other files than this block of {run.folder}: give another folder")
     root = source_of(run.inputs.images)
     if not block.whole:
         _link(root, block)
@@ -103,7 +103,7 @@ def _link(root: Path, block: Block) -> None:
 
 
 def run_colmap(block: Block, images: Path) -> None:
-    """COLMAP on the prepared images of the block. What was not finished is begun again, for its times count."""
+    """COLMAP on the prepared images of the block. An unfinished step is begun again, because its times count."""
     out = block.side("colmap")
     record = out / "stages.json"
     if record.exists() and load_json(record)["status"] in (measured.DONE, measured.FAILED):
@@ -114,7 +114,7 @@ def run_colmap(block: Block, images: Path) -> None:
 
 
 def colmap_side(block: Block) -> Side:
-    """What COLMAP made: its model with the most registered images."""
+    """COLMAP's result: its model with the most registered images."""
     said = load_json(block.side("colmap") / "stages.json")
     stages = {row["stage"]: (row["cpu_s"], row["wall_s"]) for row in said["stages"]}
     counts = {"pairs matched": said.get("pairs", {}).get("matched"), "models": len(said["models"])}
@@ -123,7 +123,7 @@ def colmap_side(block: Block) -> Side:
 
 
 def run_side(block: Block, name: str, stages: tuple[Stage, ...]) -> Side:
-    """What a run of tiegraph made with the settings of ``name``: its model in the world, if it has come so far."""
+    """The result of a run of tiegraph with the settings of ``name``: its model in the world, if there is one."""
     folder = block.side(name)
     run = Run(folder, block.run.inputs, block.run.settings)
     receipts = {s.name: run.receipts.read(s.name) for s in needed(stages, UNTIL)}
@@ -160,7 +160,7 @@ def _side(
 
 
 def _sigma(model: pycolmap.Reconstruction, block: Block) -> np.ndarray:
-    """(N,) sigma of each image's frame; the same estimator for both sides, and its time is nobody's."""
+    """(N,) sigma of each image's frame; the same estimator for both sides, and its time counts for neither."""
     out = np.full(len(block.scene), np.nan)
     if model.num_reg_frames() > block.run.settings.sparse.covariance_frames:
         return out
@@ -181,7 +181,7 @@ def judged(block: Block, name: str, stages: tuple[Stage, ...], notes: list[str])
     section = [str(s) for s in block.scene.section[block.scene.frame]]
     result = compare_sides(run_side(block, _OWN, stages), theirs, reference, section)
     result["notes"] = [
-        f"{len(block.scene)} images, a stretch of the path of {block.run.folder.name}"
+        f"{len(block.scene)} images, a section of the path of {block.run.folder.name}"
         + (": all of it" if block.whole else f" of {len(checked(block.run))}; both methods ran on these alone"),
         said,
         *(["no frame of the block has a GNSS position: neither method was given any"] if block.silent else []),
@@ -192,7 +192,7 @@ def judged(block: Block, name: str, stages: tuple[Stage, ...], notes: list[str])
 
 
 def _reference(block: Block) -> tuple[Reference, str]:
-    """Where the cameras stood, and what that is worth."""
+    """Camera positions and their accuracy."""
     settings, tuning = block.run.settings.evaluate, block.run.settings.tuning.evaluate.trajectory
     if settings.reference is not None:
         centres = reference_places(read_reference_poses(settings.reference), checked(block.run), tuning.max_gap_s)
@@ -202,14 +202,14 @@ def _reference(block: Block) -> tuple[Reference, str]:
         return Reference(centres, True, tuning.within_m), said
     model = model_poses(load_model(block.run.path("sparse", "world")), block.scene)
     said = (
-        "no reference poses: errors are differences from the poses of the whole survey's run, made by the method that "
-        "is judged; what both share is not told"
+        "no reference poses: errors are differences from the poses of the whole survey's run, made by the method under "
+        "test; errors common to both are not included"
     )
     return Reference(model.world_from_camera[:, :3, 3], False, tuning.within_m), said
 
 
 def interrupted_note(block: Block, name: str, stages: tuple[Stage, ...]) -> str:
-    """A sentence if the run of a method was begun before and goes on: its stage under way has lost its first part."""
+    """A sentence if the run of a method was interrupted and continued: its stage under way lost its first part."""
     mark, run = block.folder / f"{name}.interrupted", Run(block.side(name), block.run.inputs, block.run.settings)
     begun = run.folder.is_dir() and run.folder != block.run.folder
     if begun and not {"finished", LOST} & set(run.receipts.read(needed(stages, UNTIL)[-1].name)):

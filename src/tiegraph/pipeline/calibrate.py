@@ -1,8 +1,8 @@
-"""Glue of pattern calibration: from a folder of images of a board to a rig file, with what is to be said of it; and of
-`tiegraph calibrate --from OUT`: the calibration that a run found, beside one of a board.
+"""Glue of pattern calibration: from a folder of images of a board to a rig file, with notes; and of
+`tiegraph calibrate --from OUT`: the calibration of a run, compared with one of a board.
 
-There is no run folder: what is made are a rig.toml and, beside it, a folder with the same for other programs and a
-summary. Neither may be there before.
+There is no run folder: the results are a rig.toml and, beside it, a folder with the same for other programs and a
+summary. Neither may exist before.
 """
 
 from collections import Counter
@@ -109,7 +109,7 @@ def calibrate(
 
 @dataclass(frozen=True)
 class _File:
-    """One image: its path, camera's and instant's number, name, how its pixels are read."""
+    """One image: its path, camera's and instant's number, name, and how its pixels are read."""
 
     path: Path
     camera: int
@@ -173,13 +173,13 @@ def _one_size(folder: str, names: Sequence[str], probes: Sequence[Probe], uprigh
         raise InputError(
             f"{names[odd]} has {sizes[odd][0]} x {sizes[odd][1]} pixels, but most images of {folder or 'the camera'} "
             f"have {usual[0]} x {usual[1]}: a calibration holds for one size. Put each camera's images into a folder "
-            "of its own (cam0/, cam1/), and take out what was cropped or reduced"
+            "of its own (cam0/, cam1/), and remove cropped or reduced ones"
         )
     return usual
 
 
 def _models(words: Sequence[str], names: Sequence[str]) -> list[str]:
-    """The camera model of each camera. Raises InputError for a model or camera that there is not."""
+    """The camera model of each camera. Raises InputError for an unknown model or camera."""
     shared, own = "OPENCV", {}
     for word in words:
         name, _, model = word.rpartition("=")
@@ -197,7 +197,7 @@ def _models(words: Sequence[str], names: Sequence[str]) -> list[str]:
 def _instants(
     names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str, tuning: ScanTuning
 ) -> dict[int, int]:
-    """The number of the instant of each image. Raises InputError if the names of a rig do not say it."""
+    """The number of the instant of each image. Raises InputError if the names of a rig do not give it."""
     if len(owned) == 1:
         return {k: number for number, k in enumerate(owned[0])}
     for kind in ("name", "number") if how == "auto" else (how,):
@@ -207,8 +207,8 @@ def _instants(
             break
     else:
         raise InputError(
-            f"the names of the images do not say which were taken at one instant (as {names[owned[0][0]]} and "
-            f"{names[owned[1][0]]}): call them alike, or give --frames order if their order says it"
+            f"the names of the images do not show which were taken at one instant (as {names[owned[0][0]]} and "
+            f"{names[owned[1][0]]}): give them equal names, or give --frames order if their order shows it"
         )
     for images in owned:
         twice = [one for one, count in Counter(label[k] for k in images).items() if count > 1]
@@ -253,7 +253,7 @@ def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
 
 
 def _folder_beside(out: Path) -> Path:
-    """The folder beside a rig file. Raises InputError if one of them is there, or ``out`` is no TOML file."""
+    """The folder beside a rig file. Raises InputError if one of them exists, or ``out`` is no TOML file."""
     if out.suffix.lower() != ".toml":
         raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")
     folder = out.with_name(out.stem + _FOLDER)
@@ -294,7 +294,7 @@ def check_wide(wide: Sequence[str], cameras: Sequence[str]) -> None:
         if name not in cameras:
             raise InputError(f"--wide {name}: no such camera; there are {', '.join(cameras)}")
     if wide and set(wide) == set(cameras):
-        raise InputError(f"--wide {' '.join(wide)}: that is every camera: leave --wide away, then all carry alike")
+        raise InputError(f"--wide {' '.join(wide)}: that is every camera: omit --wide, then all are used alike")
 
 
 def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
@@ -327,10 +327,10 @@ def self_calibration(
     reporter: Reporter | None = None,
     tunings: VerbTunings | None = None,
 ) -> tuple[Difference, ...]:
-    """Write the rig of a run folder as ``out``; how it differs from the rig file ``against``, camera by camera.
+    """Write the rig of a run folder as ``out``; its differences from the rig file ``against``, camera by camera.
 
     Raises InputError as ``foundrig.rig_file`` does, for a rig file that cannot be read, has several rigs or other
-    cameras, and for outputs that are there.
+    cameras, and for existing outputs.
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.scan.rig
@@ -352,13 +352,13 @@ def self_calibration(
 
 
 def sentence(row: Difference) -> str:
-    """What the calibrations of a camera have in common, in words."""
+    """The comparison of two calibrations of a camera, in words."""
     parts = []
     if np.isfinite(row.focal):
         parts.append(f"focal length {100 * row.focal:+.3f} %{_sigmas(row.focal_sigmas)}")
-        parts.append(f"lens {row.lens_px:.2f} px otherwise (RMS)")
+        parts.append(f"lens different by {row.lens_px:.2f} px (RMS)")
     if np.isfinite(row.turn_deg):
-        parts.append(f"turned by {row.turn_deg:.3f} deg{_sigmas(row.turn_sigmas)}")
+        parts.append(f"rotated by {row.turn_deg:.3f} deg{_sigmas(row.turn_sigmas)}")
         parts.append(f"moved by {1000 * row.place_m:.1f} mm{_sigmas(row.place_sigmas)}")
     worst = row.worst_sigmas()
     if np.isfinite(worst):

@@ -38,7 +38,7 @@ def candidates(run: Run) -> Outcome:
 
 
 class _Descriptors(Sequence[np.ndarray]):
-    """Descriptors (K, 128) u1 of every image, read when asked for: those of thousands of images would fill memory."""
+    """Descriptors (K, 128) u1 of every image, read on demand: those of thousands of images would fill memory."""
 
     def __init__(self, folder: Path, scene: Scene) -> None:
         self._folder, self._names = folder, scene.names

@@ -21,7 +21,7 @@ from tiegraph.scene.results import Cloud
 
 
 def cloud(run: Run) -> Outcome:
-    """One cloud of all depth maps, tile by tile, as LAZ and PLY; and how two passes agree, where there are some."""
+    """One cloud of all depth maps, tile by tile, as LAZ and PLY; and the agreement of two passes, if there are."""
     from tiegraph.pipeline.passes import write_agreement  # matplotlib, which no worker of this stage needs
 
     plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
@@ -45,12 +45,12 @@ def cloud(run: Run) -> Outcome:
 
 
 def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
-    """Median of the points' sigma, and median and 90th percentile of that in the world, where the model is placed: of
+    """Median of the points' sigma, and median and 90th percentile of that in the world, if the model is placed: of
     the matching, of the cameras inside the model and of the placement together."""
     error, own, world = placement_error(run.folder), [], []
     inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
-        some = part.where(np.arange(0, len(part), 50))  # points of the cloud looked at for its sigma in the world
+        some = part.where(np.arange(0, len(part), 50))  # points of the cloud sampled for its sigma in the world
         own.append(some.sigma_m)
         if error is not None:
             placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)
@@ -62,7 +62,7 @@ def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
 
 
 def accuracy_said(run: Run, sigmas: Mapping[str, float]) -> str:
-    """The accuracy that the files of clouds and rasters state: what is predicted, for nothing is measured yet."""
+    """The accuracy stated in the files of clouds and rasters: the predicted one, because nothing is measured yet."""
     found = in_layers(stated(run, sigmas), ())
     heads = {name: found.head(layer).predicted for layer, name in LAYERS.items()}
     parts = [f"{name} {value:.3g} {found.unit}" for name, value in heads.items() if np.isfinite(value)]

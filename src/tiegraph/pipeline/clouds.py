@@ -1,5 +1,5 @@
 """Glue of comparisons of clouds outside the table of stages: two files, and two surveys of one place
-(`compare --epochs`): what has changed between them, beyond what both are known to.
+(`compare --epochs`): changes between them that exceed the uncertainty of both.
 """
 
 from collections.abc import Iterator
@@ -35,10 +35,10 @@ from tiegraph.text import command, csv_text
 
 
 def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question, tuning: Tuning) -> dict[str, Any]:
-    """Judge the first of two cloud files by the second; the content of metrics.json. ``out``: a folder for it, a map
-    and clouds.
+    """Compare the first of two cloud files with the second; the content of metrics.json. ``out``: a folder for it, a
+    map and clouds.
 
-    Raises InputError for files that are no clouds or do not meet, and for a folder that is there.
+    Raises InputError for files that are no clouds or do not overlap, and for an existing folder.
     """
     for distance in question.distances_m:
         if not 0 < distance < np.inf:
@@ -49,7 +49,7 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
     if own.crs and truth.crs and own.crs != truth.crs:
         notes.append(f"the reference was brought from {truth.crs} into {own.crs}; heights are taken as ellipsoidal")
     elif own.crs != truth.crs:
-        notes.append(f"only one of both names a CRS ({own.crs or truth.crs}): they are compared as they are")
+        notes.append(f"only one of both names a CRS ({own.crs or truth.crs}): they are compared without conversion")
     notes += [f"{cloud.name}: {cloud.note}" for cloud in (own, truth) if cloud.note and own.note != truth.note]
     with new_folder(out) as folder, scratch_folder(folder) as scratch:
         if own.crs and truth.crs and own.crs != truth.crs:
@@ -64,7 +64,7 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
 
 
 def refuse_coarse_alone(register: str, coarse: bool, remedy: str) -> None:
-    """Raise InputError for a coarse start of no registration."""
+    """Raise InputError for a coarse start without registration."""
     if coarse and register == "none":
         raise InputError(f"--coarse starts a registration: add {remedy}")
 
@@ -76,7 +76,7 @@ def _place(crs: str | None) -> Origin:
 
 @contextmanager
 def new_folder(out: Path | None) -> Iterator[Path | None]:
-    """A folder that is there as a whole once all in it is made. Raises InputError if it is there before."""
+    """A folder that appears as a whole once all in it is made. Raises InputError if it exists before."""
     if out is None:
         yield None
         return
@@ -94,17 +94,17 @@ class EpochOptions:
     """How two epochs are compared."""
 
     register: Literal["none", "rigid"] = "none"
-    """Lay the second cloud on the first by ICP instead of trusting both places on the Earth; most of the surface must
-    have stayed. Its sigma then takes the place of the surveys' own."""
+    """Register the second cloud to the first by ICP instead of trusting both georeferences; most of the surface must
+    be unchanged. Its sigma then replaces the surveys' own."""
     coarse: bool = False
-    """The second cloud is far off or turned: start the registration by the shapes of both."""
+    """The second cloud is displaced or rotated by much: start the registration by the shapes of both."""
     depth_m: float | None = None
-    """Largest difference that is looked for, to either side (default: by the spacing of the clouds)."""
+    """Largest difference that is searched for, to either side (default: by the spacing of the clouds)."""
 
 
 @dataclass(frozen=True)
 class _Epoch:
-    """A run: its cloud in its own world, where that is, and how well it is known."""
+    """A run: its cloud in its own world, the place of that, and its accuracy."""
 
     folder: Path
     cloud: PointSource
@@ -114,7 +114,7 @@ class _Epoch:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two clouds in one world, what holds them together and, in words, how; ``cameras`` are the first's."""
+    """Two clouds in one world, their common frame and its description; ``cameras`` are the first's."""
 
     first: PointSource
     second: PointSource
@@ -129,7 +129,7 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
     """Compare the clouds of two runs; writes changes.json, changes.csv, changes.png and changes.laz into a new folder.
 
     The constants are those of the first run (``[tuning.evaluate]``). Raises InputError for runs without a cloud, or
-    that are not known to stand in one world, for clouds that do not meet, and for a coarse start of no registration.
+    without a common world, for clouds that do not overlap, and for a coarse start without registration.
     """
     refuse_coarse_alone(options.register, options.coarse, "--register rigid")
     tuning = read_settings(folders[0] / SETTINGS).tuning.evaluate
@@ -139,7 +139,7 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
     cameras = Cameras(centres, ("",) * len(centres))
     common: dict[str, Any] = {"first": first.cloud, "cameras": cameras, "origin": first.origin}
     if options.register == "none":
-        held = "as the surveys stand on the Earth, with both their sigmas"
+        held = "by the georeference of both surveys, with both their sigmas"
         pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
     else:
         with told_of(other.name):
@@ -153,7 +153,7 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
 def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None) -> dict[str, Any]:
     """What changed from the first cloud to the second, written into a new folder.
 
-    Raises InputError if they do not meet, or the folder is there.
+    Raises InputError if they do not overlap, or the folder exists.
     """
     with new_folder(out) as folder, scratch_folder(folder) as scratch:
         assert folder is not None
@@ -172,7 +172,7 @@ def m3c2_of(
     pair: Pair, scratch: Path, tuning: Tuning, depth_m: float | None = None, most: int | None = None
 ) -> Differences:
     """The second cloud minus the first, at about ``most`` core points; ``scratch`` is an empty folder. Raises
-    InputError if they do not meet."""
+    InputError if they do not overlap."""
     clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
     with told_of(pair.second.name):
         meeting(clouds)
@@ -186,7 +186,7 @@ def _read(folder: Path) -> _Epoch:
     if not path.exists():
         raise InputError(f"{folder}: it has no cloud.laz: run it to the stage cloud ({command('cloud', folder)})")
     if world_unit(folder) != "m":
-        raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")
+        raise InputError(f"{folder}: its scale is unknown, so differences have no unit: give positions or a rig")
     origin = world_origin(folder)
     cloud = open_cloud(path).moved(lambda xyz: xyz - shift_of(origin))
     return _Epoch(folder=folder, cloud=cloud, origin=origin, error=placement_error(folder))
@@ -197,8 +197,8 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
     for epoch in (first, second):
         if options.register == "none" and (epoch.origin is None or epoch.error is None):
             raise InputError(
-                f"{epoch.folder}: its place on the Earth is not known, so it cannot be held against another epoch: "
-                "give positions or control points, or --register rigid to lay the clouds on each other"
+                f"{epoch.folder}: its place on the Earth is not known, so it cannot be compared with another epoch: "
+                "give positions or control points, or --register rigid to register the clouds to each other"
             )
     a, b = first.origin, second.origin
     if a is None or b is None or a == b:
@@ -207,7 +207,7 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
 
 
 def _placed(first: _Epoch, second: _Epoch) -> Sigma:
-    """What both places on the Earth leave open along a normal; both surveys are taken to err by themselves."""
+    """Uncertainty of both georeferences along a normal; the errors of both surveys are taken as independent."""
 
     def sigma(xyz: np.ndarray, normal: np.ndarray) -> np.ndarray:
         assert first.error is not None and second.error is not None and first.origin and second.origin
@@ -228,7 +228,7 @@ def _result(found: Differences, changed: Changes, pair: Pair) -> dict[str, Any]:
         "crs": None if pair.origin is None else pair.origin.crs,
         "notes": [
             f"Second minus first along the first's normal, towards its cameras; compared {pair.held}. Significant: "
-            "larger than the level of detection at 95 %, so about 5 % of what stayed is too; a change is listed where "
-            "enough significant points of one sign stand together. Differences beyond the cylinders are not found."
+            "larger than the level of detection at 95 %, so about 5 % of unchanged points are too; a change is listed "
+            "where enough significant points of one sign lie together. Differences beyond the cylinders are not found."
         ],
     }

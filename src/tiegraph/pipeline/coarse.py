@@ -1,8 +1,8 @@
-"""Glue of coarse: a model of the survey made of previews, and what it says of the candidate pairs.
+"""Glue of coarse: a model of the survey made of previews, and the candidate pairs by it.
 
-The engine ``network`` says which ties to map and what to believe of the models; the engine ``sfm`` maps them, block by
-block. A finished block is kept until the stage is done, under a key of its images and ties: a killed stage goes on with
-the next block, and a try whose ties changed in one block maps only that one again.
+The engine ``network`` chooses the ties to map and the trusted parts of the models; the engine ``sfm`` maps them, block
+by block. A finished block is kept until the stage is done, under a key of its images and ties: a killed stage continues
+with the next block, and a try whose ties changed in one block maps only that one again.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 def coarse(run: Run) -> Outcome:
-    """The candidate pairs judged by a coarse model of the survey, where one is worth making and is believed."""
+    """The candidate pairs judged by a coarse model of the survey, if one is worth making and is trusted."""
     pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
     scene = load_scene(run.path("candidates", "scene.json"))
     cache = MatchCache(Matcher(run, "coarse/matched"), len(scene), ties)
@@ -53,10 +53,10 @@ def coarse(run: Run) -> Outcome:
 
 
 def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
-    """What each image sees of the surface, by all tracks of the previews that the model believes.
+    """The surface seen by each image, by all tracks of the previews that the model trusts.
 
-    Of a survey mapped in blocks by the tracks that placed its images: for all of 1200 images the design wanted 30 pairs
-    an image, for these 8, which place them to 4 mm.
+    For a survey mapped in blocks by the tracks that placed its images: with all of 1200 images the design wanted 30
+    pairs an image, with these 8, which place them to 4 mm.
     """
     assert found.model is not None
     tuning, model = run.settings.tuning, found.model
@@ -70,7 +70,7 @@ def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
 
 
 def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache) -> Coarse:
-    """Candidate pairs of a scene judged by the best coarse model; as they were, where none is worth making."""
+    """Candidate pairs of a scene judged by the best coarse model; unchanged if none is worth making."""
     pairs, scene = candidates
     settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
     if not worth_a_model(*settings):
@@ -104,7 +104,7 @@ class _Mapper:
         return assembled(scene, self._blocks, models, tuning.network.coarse, tuning.scene.joining)
 
     def _of_block(self, block: Block, ties: PreviewMatches) -> CoarseModel | None:
-        """The model of a block: that of an earlier try, or of a run that was interrupted, if its ties are the same."""
+        """The model of a block: that of an earlier try, or of an interrupted run, if its ties are the same."""
         whole = is_whole(self._blocks, self._scene)
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
         key = hashlib.blake2b(digest_size=8)
@@ -119,11 +119,11 @@ class _Mapper:
 
 
 def coarse_model(run: Run, scene: Scene, ties: PreviewMatches) -> CoarseModel | None:
-    """A model of a survey or of a block of it, made of previews, roughly: the longest tracks place the images well
-    enough to choose pairs by and to start from. None where COLMAP finds none.
+    """A rough model of a survey or of a block of it, made of previews: the longest tracks place the images well
+    enough to choose pairs and to start from. None if COLMAP finds none.
 
-    It is made as the stage sparse makes one by default, whatever its settings are: pairs and matches stay when the
-    final model is made otherwise. Its files go: what is needed of them is in the arrays.
+    It is made with the defaults of the stage sparse, whatever its settings are: pairs and matches stay when the
+    final model is made with others. Its files are removed: the arrays contain the needed data.
     """
     folder = run.path("coarse/mapping")
     remove(folder)

@@ -36,7 +36,7 @@ FIRST = ".first"  # depth maps before they are compared with each other; removed
 
 
 def depth_path(folder: Path, name: str, step: str = "") -> Path:
-    """Where the depth map of an image is."""
+    """The file of an image's depth map."""
     return inside(folder / "depth" / step, f"{name}.npz")
 
 
@@ -47,7 +47,7 @@ def dense(run: Run) -> Outcome:
     settings, tuning = run.settings.dense, run.settings.tuning.dense
     args = (run.folder, plan.images, settings, tuning)
     todo = [n for n in names if not depth_path(run.folder, n).exists()]
-    if todo:  # the first maps of all are made then, so those whose reasons for what was dropped are gone come again too
+    if todo:  # then the first maps of all are made, so that those with lost reasons for dropped pixels are made again
         todo = [n for n in names if n in set(todo) or not _counts_path(run.folder, n).exists()]
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
     sizes = _sizes(plan.images, settings, tuning)
@@ -56,9 +56,9 @@ def dense(run: Run) -> Outcome:
     kernels = Counter(run.map(_first_item, first, *args))
     run.map(_confirm_item, todo, *args)
     paths = [_counts_path(run.folder, n) for n in names]
-    told = all(p.exists() for p in paths)  # else nothing was to be done any more
+    told = all(p.exists() for p in paths)  # else there was nothing left to do
     found = Consistency.total(Consistency(**load_json(p)) for p in paths) if told else None
-    # A confirmed map's first form may still be asked for as a witness, so all of them stay until the end.
+    # The first form of a confirmed map may still be needed as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
     pixels = run.map(_known_pixels, names, run.folder)
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
@@ -71,7 +71,7 @@ def dense(run: Run) -> Outcome:
 
 
 def plan_of(run: Run) -> DensePlan:
-    """Which images are matched with which, by the model in the world; those that hang on their rig, which see none of
+    """The pairs of images to match, by the model in the world; those of dependent cameras, which see none of
     its points, within their frame."""
     settings, tuning, model = run.settings.dense, run.settings.tuning.dense, load_model(run.path("sparse", "world"))
     survey = whole(run)
@@ -84,17 +84,17 @@ def plan_of(run: Run) -> DensePlan:
     except ReconstructionError:
         if not within.images:
             raise
-        plan = DensePlan({})  # what cannot be matched from station to station is matched within each
+        plan = DensePlan({})  # images that cannot be matched between stations are matched within each
     return DensePlan(
         images=plan.images | within.images,
         dropped=(*(row for row in plan.dropped if row[0] not in hanging), *within.dropped),
-        notes=(*plan.notes, f"{len(within.images)} images that hang on their rig are matched within their frame"),
+        notes=(*plan.notes, f"{len(within.images)} images with poses by their rig are matched within their frame"),
         refused=dict(Counter(plan.refused) + Counter(within.refused)),
     )
 
 
 def _sizes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> list[str]:
-    """Which images are reduced, and what the matcher will hold at most; known before it starts."""
+    """The reduced images, and the largest memory of the matcher; known before it starts."""
     sizes = {plan.view.camera: pinhole(plan.view, settings).size for plan in plans.values()}
     reduced = {
         f"depth maps of {size[0]} x {size[1]} pixels, of images of {camera.width} x {camera.height} "
@@ -107,7 +107,7 @@ def _sizes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning)
 
 
 def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:
-    """Saves the depth map of an image before it is compared with others; what matched its pairs."""
+    """Saves the depth map of an image before it is compared with others; the matcher of its pairs."""
     masks = folder / FINAL / "masks"
     found = depth_map(plans[name], folder / "images", masks, settings, tuning, cv2.getNumThreads())
     save_depth(found, depth_path(folder, name, FIRST))
@@ -125,7 +125,7 @@ def _confirm_item(
 
 
 def _counts_path(folder: Path, name: str) -> Path:
-    """What the comparison dropped of a depth map and why, until the stage is done: written before the map is."""
+    """Reasons for dropped pixels of a depth map, until the stage is done: written before the map is."""
     return inside(folder / "depth" / FIRST, f"{name}.json")
 
 
@@ -135,9 +135,9 @@ def _known_pixels(name: str, folder: Path) -> int:
 
 def hand_over(run: Run, target: Path) -> int:
     """The depth maps as a dense workspace of COLMAP below ``target``; their number. Raises InputError for a folder that
-    holds something."""
+    is not empty."""
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} is there and not empty: give a new folder for the workspace")
+        raise InputError(f"{target} exists and is not empty: give a new folder for the workspace")
     model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:
         return write_workspace(target, model, run.path("images"), load, run.settings.dense)

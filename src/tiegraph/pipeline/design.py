@@ -31,11 +31,11 @@ def design(run: Run) -> Outcome:
     scene, candidates, known = checked(run), pairs_of(run, "network.npz"), ties_of(run)
     settings, tuning = run.settings, run.settings.tuning
     ties, previews, method = known, 0, settings.design.method
-    if not takes_all(candidates, scene, settings.design, tuning.design):  # of what is chosen from something is known
+    if not takes_all(candidates, scene, settings.design, tuning.design):  # a choice needs previews
         how = run.folder, settings.preview, tuning.features.preview, run.map
         candidates, ties, previews = with_previews(candidates, known, *how)
     papers.plug_in(papers.DESIGNS, method, METHODS)
-    if method in papers.DESIGNS:  # a paper's method goes by an accuracy of its own
+    if method in papers.DESIGNS:  # a paper's method uses an accuracy of its own
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
     made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run))
     made, ties = _covered(run, made, scene, ties)
@@ -53,7 +53,7 @@ def design(run: Run) -> Outcome:
         again, said = {"where to go again": surface.table()}, surface.lines()
     without = int(np.sum(made.pairs.degree(len(scene)) == 0))
     counts = {"images_without": without, "previews": previews, **made.counts}
-    looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
+    looked = (f"{previews} pairs without previews were previewed first",) if previews else ()
     return Outcome(counts, notes=(*looked, *made.notes, *said), tables={**made.tables, **again})
 
 
@@ -71,7 +71,7 @@ def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
 
 
 def coverage_of(run: Run, chosen: bool) -> Coverage:
-    """The weak places of the candidates, or of the pairs that were ``chosen``, by all previews that were matched."""
+    """The weak places of the candidates, or of the ``chosen`` pairs, by all previews that were matched."""
     pairs, ties = pairs_of(run, "pairs.npz" if chosen else "network.npz"), ties_of(run)
     if run.path(*LOOKED.split("/")).exists():
         ties = ties | ties_of(run, "design")
@@ -80,7 +80,7 @@ def coverage_of(run: Run, chosen: bool) -> Coverage:
 
 
 def surface_of(run: Run) -> CoveredSurface | None:
-    """How well the surface of the coarse model is covered; None where there is no model."""
+    """The coverage of the coarse model's surface; None without a model."""
     seen = visibility_of(run)
     if seen is None:
         return None
@@ -90,8 +90,8 @@ def surface_of(run: Run) -> CoveredSurface | None:
 
 
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:
-    """The design with its weak links, and the previews that told them: chosen pairs across what seems to hang on few
-    points are looked at first, for only some of the candidates have been."""
+    """The design with its weak links, and their previews: chosen pairs across places with few points are previewed
+    first, because only some of the candidates have been."""
     settings, tuning = run.settings.preview, run.settings.tuning
     weak = on_few_points(made.pairs, scene, ties, tuning.design)
     unknown = unknown_across(made.pairs, scene, ties, weak)
@@ -114,7 +114,7 @@ def with_accuracy(
     The base between two frames of a pass is as long as their numbers are apart (002, 2.3), else one: lengths are in
     frames, not metres. ``run_map``: map over a pool.
     """
-    unknown = np.full(len(pairs), np.nan)  # what the coarse model says of them is none of the paper's
+    unknown = np.full(len(pairs), np.nan)  # values of the coarse model are none of the paper's
     pairs = pairs.with_(sigma_m=unknown, h_over_b=unknown)
     row = ties.find(pairs.i, pairs.j)
     if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a coarse model)

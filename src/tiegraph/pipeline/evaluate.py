@@ -1,4 +1,4 @@
-"""Glue of evaluate: the result against what is known."""
+"""Glue of evaluate: the result against references."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,11 +29,11 @@ from tiegraph.scene.scene import Scene
 from tiegraph.text import command
 
 PASSES = "passes"
-"""Folder of what the stage ``cloud`` found between two passes."""
+"""Folder of the comparison of two passes by the stage ``cloud``."""
 
 
 def evaluate(run: Run) -> Outcome:
-    """Figures of merit of the masks, the model and the cloud, against references where they are given."""
+    """Figures of merit of the masks, the model and the cloud, against references if they are given."""
     scene, settings = checked(run), run.settings.evaluate
     model = load_model(run.path("sparse", "world"))
     origin = world_origin(run.folder)
@@ -70,7 +70,7 @@ def evaluate(run: Run) -> Outcome:
     tables = {**run.receipts.read("georef").get("tables", {}), **result["tables"]}
     write_atomic(run.path("accuracy.csv"), accuracy_csv(result, tables, world))
     shown = {"figures": sum(m["value"] is not None for m in result["metrics"]), "tables": len(result["tables"])}
-    notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
+    notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # which comparisons were possible
     return Outcome(shown, notes=notes, contradictions=(*unfit, *result["contradictions"]))
 
 
@@ -94,7 +94,7 @@ def evaluate_poses(run: Run, reference: Path, origin: tuple[float, float, float]
 def write_judgement(
     found: CloudJudgement, folder: Path, origin: Origin | None, alignment: Similarity | None = None
 ) -> None:
-    """The map of differences, and both clouds with what was measured, into a folder: the judged one where it stood
+    """The map of differences, and both clouds with the measured values, into a folder: the judged one in its place
     before the ``alignment``, so that it lies on the run's cloud."""
     back = (lambda xyz: xyz) if alignment is None else alignment.inverse()
     differences, spacing = found.differences, found.nearest.criteria.voxel_m
@@ -117,7 +117,7 @@ def measured(found: Differences) -> Measured:
 
 
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings, tables: dict[str, dict]) -> list[str]:
-    """Add the table of the masks against true ones; what is to be said of true ones that do not fit."""
+    """Add the table of the masks against true ones; notes on true ones that do not fit."""
     assert settings.reference_masks is not None
     cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
     try:

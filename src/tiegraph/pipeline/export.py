@@ -1,4 +1,4 @@
-"""Glue of `tiegraph export --to NAME`: the survey, loaded once, with images, masks and depth as a format wants them."""
+"""Glue of `tiegraph export --to NAME`: the survey, loaded once, with images, masks and depth in another format."""
 
 import io
 import shutil
@@ -42,8 +42,8 @@ _DEPTHS = "depths"
 
 @dataclass(frozen=True)
 class _Picture:
-    """An image of the run and what becomes of it: its names there and in the folder, its camera there, the pinhole
-    camera through which it is undistorted (None: it stays), its mask and depth map in the folder ("" = none)."""
+    """An image of the run and its export: its names there and in the folder, its camera there, the pinhole
+    camera through which it is undistorted (None: unchanged), its mask and depth map in the folder ("" = none)."""
 
     source: str
     name: str
@@ -54,14 +54,14 @@ class _Picture:
 
 
 def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
-    """Write the folder ``target`` for a program, whole or not at all; how many images, poses or cameras it has.
+    """Write the folder ``target`` for a program, whole or not at all; its number of images, poses or cameras.
 
-    Raises InputError for a name or camera that is none, a folder that holds something, a full disk, and a world that is
-    not on the Earth where the format needs that.
+    Raises InputError for an unknown name or camera, a folder that is not empty, a full disk, and a world that is
+    not on the Earth if the format needs that.
     """
     choose("export", name, dict.fromkeys(EXPORTERS))
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} is there and not empty: give a new folder")
+        raise InputError(f"{target} exists and is not empty: give a new folder")
     exporter = EXPORTERS[name]
     if camera and exporter.lens is not None:
         raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
@@ -135,7 +135,7 @@ def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -
 
 
 def _names(camera_of: Mapping[str, int], pinholes: Mapping[int, CameraModel], exporter: Exporter) -> dict[str, str]:
-    """Names in the folder by those in the run. An undistorted image keeps its suffix where OpenCV writes such files."""
+    """Names in the folder by those in the run. An undistorted image keeps its suffix if OpenCV writes such files."""
     if not exporter.flat:
         return {name: name for name in camera_of}
     suffix = {name: PurePosixPath(name).suffix for name in camera_of}
@@ -144,7 +144,7 @@ def _names(camera_of: Mapping[str, int], pinholes: Mapping[int, CameraModel], ex
 
 
 def _mask(folder: Path, name: str) -> Path:
-    """The last mask of an image that the run has."""
+    """The last mask of an image in the run."""
     final = mask_path(folder / FINAL, name)
     return final if final.exists() else mask_path(folder, name)
 
@@ -152,7 +152,7 @@ def _mask(folder: Path, name: str) -> Path:
 def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
     """Write an image, its mask and its depth map below ``target``; the name of the depth map's file, "" = none.
 
-    An image whose EXIF would turn it is written anew: the model is of the pixels as they are stored."""
+    An image with an EXIF rotation is written again: the model refers to the pixels as they are stored."""
     images, image, mask = folder / "images", inside(target / "images", picture.name), _mask(folder, picture.source)
     if not (images / picture.source).is_file():
         raise InputError(f"{images / picture.source} is gone: restore the images of the survey")
@@ -180,7 +180,7 @@ def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> 
 
 
 def _copy(source: Path, target: Path) -> None:
-    """A copy and no link: a tool that changes an image where it lies must not change the survey's, or the user's."""
+    """A copy and no link: a tool that changes an image in place must not change the survey's, or the user's."""
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, target)
 

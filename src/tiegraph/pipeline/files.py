@@ -29,12 +29,12 @@ from tiegraph.scene.scene import Scene
 
 T = TypeVar("T")
 
-_OURS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # the machine's limits say nothing of a file
+_OURS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # limits of the machine, not faults of a file
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """What goes wrong while an artefact is read is said of the artefact, whose stage then makes it again."""
+    """Errors while an artefact is read are reported for the artefact, whose stage then makes it again."""
     try:
         yield
     except UnreadableArtefact:
@@ -54,7 +54,7 @@ def load_npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def load_as(path: Path, make: Callable[[dict[str, np.ndarray]], T]) -> T:
-    """What ``make`` makes of the arrays of an NPZ file. Raises UnreadableArtefact."""
+    """The result of ``make`` for the arrays of an NPZ file. Raises UnreadableArtefact."""
     with reading(path):
         return make(load_npz(path))
 
@@ -97,7 +97,7 @@ def scanned(run: Run) -> Scene:
 
 
 def whole(run: Run) -> Scene:
-    """The same with the images that hang on their rigs, which take no part in structure from motion."""
+    """The same with the images that get poses by their rigs, which take no part in structure from motion."""
     path = run.path("whole.json")
     return load_scene(path) if path.exists() else scanned(run)
 
@@ -120,7 +120,7 @@ def refused_pairs(run: Run) -> tuple[tuple[int, int], ...]:
 
 
 def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
-    """The preview matches that ``candidates`` saw, or that ``coarse`` has added to them."""
+    """The preview matches of ``candidates``, or with those added by ``coarse``."""
     return load_as(run.path(stage, "matches.npz"), PreviewMatches.from_npz)
 
 
@@ -136,7 +136,7 @@ def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def visibility_of(run: Run) -> Visibility | None:
-    """What each image sees of the surface by all tracks of the coarse model, if there is one."""
+    """The surface seen by each image by all tracks of the coarse model, if there is one."""
     path = run.path("coarse", "visibility.npz")
     return load_as(path, Visibility.from_npz) if path.exists() else None
 
@@ -156,12 +156,12 @@ def save_png(path: Path, image: np.ndarray) -> None:
 
 
 def mask_path(folder: Path, name: str) -> Path:
-    """Where the mask of an image is (COLMAP's naming)."""
+    """The file of an image's mask (COLMAP's naming)."""
     return folder / "masks" / f"{name}.png"
 
 
 def classes_path(folder: Path, name: str) -> Path:
-    """Where the classes of an image's pixels are (``masks``, reduced size); not from every source."""
+    """The file of the classes of an image's pixels (``masks``, reduced size); not from every source."""
     return folder / "classes" / f"{name}.png"
 
 
@@ -176,7 +176,7 @@ FINAL = "refine"
 
 
 def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
-    """Pixels (H, W) u1, or (H, W, 3) with IMREAD_COLOR, as stored: the EXIF orientation was dealt with by the scan."""
+    """Pixels (H, W) u1, or (H, W, 3) with IMREAD_COLOR, as stored: the scan has applied the EXIF orientation."""
     image = read_pixels(path, flag)
     if image is None:
         raise UnreadableArtefact(path, "it is no image now")
@@ -188,21 +188,21 @@ def read_mask(folder: Path, name: str) -> np.ndarray:
     return read_image(mask_path(folder, name)) > 0
 
 
-# --- how the model lies in the world, read from what georef wrote ----------------------------------------------------
+# --- the placement of the model in the world, read from the files of georef -----------------------------------------
 
 
 def world_origin(folder: Path) -> Origin | None:
-    """Where the world is on the Earth: by the scene's positions, or by control points alone."""
+    """The place of the world on the Earth: by the scene's positions, or by control points alone."""
     data = load_json(folder / "world.json").get("origin")
     return None if data is None else Origin.from_dict(data)
 
 
 def world_unit(folder: Path) -> str:
-    """Unit of lengths in the world: m, or "units" where nothing told the scale."""
+    """Unit of lengths in the world: m, or "units" if the scale is unknown."""
     return "units" if load_json(folder / "world.json")["scale_source"] == "none" else "m"
 
 
 def placement_error(folder: Path) -> PlacementError | None:
-    """How well the placement is known; None = not placed."""
+    """Accuracy of the placement; None = not placed."""
     data = load_json(folder / "world.json").get("placement_error")
     return None if data is None else PlacementError.from_dict(data)

@@ -10,7 +10,7 @@ from tiegraph.project.stages import Outcome
 
 
 def filter(run: Run) -> Outcome:
-    """Pairs whose matches agree with the coarse model or with loops; the database stays as `match` left it."""
+    """Pairs whose matches agree with the coarse model or with loops; the database of `match` stays unchanged."""
     done = [0]
 
     def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:

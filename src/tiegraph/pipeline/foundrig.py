@@ -1,12 +1,12 @@
-"""The rigs of a run folder as its model has them: for the next survey, for ``shots``, for COLMAP.
+"""The rigs of a run folder by its model: for the next survey, for ``shots``, for COLMAP.
 
-Where what from: cameras and places from ``sparse/world`` once ``georef`` has made it, before from ``sparse/0``. A rig
-that was held as given keeps its own lengths: what the positions say of the scale of a survey does not change a measured
-rig. A rig that was adjusted has the lengths of the world, and is refused where nothing told metres. Cameras that hang
+Sources: cameras and poses from ``sparse/world`` once ``georef`` has made it, before from ``sparse/0``. A rig
+that was held as given keeps its own lengths: the scale of a survey by its positions does not change a measured
+rig. An adjusted rig has the lengths of the world, and is refused if these are not metric. Cameras that depend
 on a wide one (``scene.hanging``) are in no model and stay as given.
 
-How the model was made its receipt says: which rigs and lenses were held, and the constants. A line of tiegraph.toml
-that was written since counts before a constant of the receipt, but never says that a rig was held that was not.
+The receipt records how the model was made: which rigs and lenses were held, and the constants. A line of tiegraph.toml
+that was written later precedes a constant of the receipt, but never turns an adjusted rig into a held one.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ _DIGITS = 3  # of a sigma
 
 @dataclass(frozen=True)
 class Metres:
-    """What a unit of ``sparse/0`` is in metres (NaN = nothing told), the sigma of that (a share), and who told."""
+    """Metres in a unit of ``sparse/0`` (NaN = unknown), the sigma of that (a share), and its source."""
 
     scale: float = np.nan
     sigma: float = np.nan
@@ -53,13 +53,13 @@ class Metres:
 
 @dataclass
 class FoundRun:
-    """What of a run folder the rigs are read from; ``said`` and ``unscaled`` are added to."""
+    """The parts of a run folder from which the rigs are read; ``said`` and ``unscaled`` are added to."""
 
     folder: Path
     scene: Scene
     receipt: dict[str, Any]  # of sparse
-    mapped: pycolmap.Reconstruction  # as sparse left it
-    world: pycolmap.Reconstruction  # as georef left it; the same without
+    mapped: pycolmap.Reconstruction  # as written by sparse
+    world: pycolmap.Reconstruction  # as written by georef; the same without
     metres: Metres
     antenna_m: tuple[float, float, float] | None
     tuning: Tunings
@@ -67,7 +67,7 @@ class FoundRun:
     unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in model units
 
     def drawn(self, index: int) -> Rig:
-        """A rig as candidates left it, before the coarse model turned cameras."""
+        """A rig as written by candidates, before the coarse model rotated cameras."""
         return load_scene(self.folder / "candidates" / "scene.json").rigs[index]
 
     def rows(self, table: str) -> list[list]:
@@ -76,8 +76,8 @@ class FoundRun:
 
 
 def found_run(folder: Path) -> FoundRun:
-    """The models of a run folder and what is said of them. Raises InputError for a folder that is no run, has no sparse
-    model, or whose cameras are views; UnreadableArtefact for what is damaged; SettingsError for its tiegraph.toml."""
+    """The models of a run folder and notes. Raises InputError for a folder that is no run, has no sparse
+    model, or whose cameras are views; UnreadableArtefact for damaged files; SettingsError for its tiegraph.toml."""
     if not names_run(str(folder)):
         raise InputError(f"{folder} is no run folder: give one that `tiegraph run IMAGES -o FOLDER` made")
     check_format(folder)
@@ -91,7 +91,7 @@ def found_run(folder: Path) -> FoundRun:
         raise InputError(f"{folder}: its cameras are views of panoramas, which need no rig file: give --rig panorama")
     if any(s.source is not None and s.source.view is not None for s in scene.all_sensors):
         raise InputError(
-            f"{folder}: its cameras are views of fisheye images, whose lenses it used as they were given: give the rig "
+            f"{folder}: its cameras are views of fisheye images, whose lenses were used as given: give the rig "
             "file of that run, or calibrate them in a run with --scan.fisheye whole"
         )
     mapped = load_model(first)
@@ -121,7 +121,7 @@ def found_run(folder: Path) -> FoundRun:
 
 
 def _constants(folder: Path, receipts: Receipts) -> Tunings:
-    """Those that scan read the rig and sparse made the model with; before them count those of tiegraph.toml."""
+    """Constants with which scan read the rig and sparse made the model; those of tiegraph.toml precede them."""
     made: dict[str, Any] = {}
     for stage in ("scan", "sparse"):
         own = receipts.read(stage).get("tuning", {})
@@ -136,32 +136,32 @@ def _constants(folder: Path, receipts: Receipts) -> Tunings:
 def with_camera(
     given: Sensor, found: pycolmap.Camera | None, held: bool, sigmas: Sequence[Sequence], tuning: CameraTuning
 ) -> tuple[Sensor, list[str]]:
-    """A sensor with the camera of the model, and what to say of it.
+    """A sensor with the camera of the model, and notes.
 
-    ``held``: the run believed its calibration. Where that gave way to the images of one survey, it stands here all the
-    same: it was measured, and what 25 frames of a car that stands make of a lens bent the next survey when it was held
-    there (PandaSet's second half: 70 mm for 37). That one can let go of it by itself. ``sigmas``: rows of the table of
-    the interior orientation of all cameras.
+    ``held``: the run kept its calibration. If that gave way to the images of one survey, it is written nevertheless:
+    it was measured, and a lens by 25 frames of a car at rest bent the next survey when it was held
+    there (PandaSet's second half: 70 mm for 37). The next run can release it by itself. ``sigmas``: rows of the table
+    of the interior orientation of all cameras.
     """
     camera, source = found, given.source
     if camera is None or given.camera is None:
         return given, []
     if not given.camera.has_prior_focal_length and _same(camera, given.camera):
-        text = f"{given.name}: its camera was guessed and not adjusted: left away"
+        text = f"{given.name}: its camera was guessed and not adjusted: omitted"
         return replace(given, camera=None, source=None if source is None else replace(source, camera=None)), [text]
     if source is not None and source.camera is not None:
         own, cropped = given.camera, crop_camera(source.camera, *source.crop_px)
         alike = cropped.model == own.model and (cropped.width, cropped.height) == (own.width, own.height)
     if source is not None and source.camera is not None and not alike:
-        return given, [f"{given.name}: its images were undistorted by the camera given, which stands here"]
+        return given, [f"{given.name}: its images were undistorted by the given camera, which is written here"]
     if held:
         off = difference_px(given.camera, camera)
-        text = f"{given.name}: its calibration is as given, though the images wanted it {off:.1f} px otherwise (median)"
+        text = f"{given.name}: its calibration is as given, though the images differ from it by {off:.1f} px (median)"
         return given, [] if _same(camera, given.camera) else [text]
     left, top, right, bottom = (0, 0, 0, 0) if source is None else source.crop_px
     camera, said = crop_camera(camera, -left, -top, -right, -bottom), []
     if wrong := lens_fault(camera, tuning):
-        said = [f"{given.name}: only the focal length is written, for {wrong}"]
+        said = [f"{given.name}: only the focal length is written, because {wrong}"]
         model = "SIMPLE_RADIAL_FISHEYE" if "FISHEYE" in camera.model.name else "SIMPLE_RADIAL"
         size = camera.width, camera.height
         made = pycolmap.Camera.create_from_model_name(0, model, camera.mean_focal_length(), *size)
@@ -182,14 +182,14 @@ def _same(a: pycolmap.Camera, b: pycolmap.Camera) -> bool:
 
 @dataclass(frozen=True)
 class RigFile:
-    """A rig file as text, and what to say of it."""
+    """A rig file as text, and notes."""
 
     text: str
     said: tuple[str, ...]
 
 
 def rig_file(folder: Path, form: str = TOML) -> RigFile:
-    """The rig as the run in a folder found it, as a rig.toml or (``form`` = "rig_config") COLMAP's rig_config.json.
+    """The rig found by the run in a folder, as a rig.toml or (``form`` = "rig_config") COLMAP's rig_config.json.
 
     Raises InputError for a folder without a sparse model, for a rig.toml whose lengths would not be metres, for several
     rigs in one rig.toml, and for panoramas; SettingsError for its tiegraph.toml.
@@ -202,32 +202,32 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     if (whole := run.folder / "whole.json").exists():
         rigs = [_with_hanging(run, rigs[0], load_scene(whole).rigs[0])]
     if form == CONFIG:
-        # COLMAP's prefixes begin a name, and folders of passes come before them.
+        # COLMAP's prefixes begin a name, and folders of passes precede them.
         folders = [s.folder for r in rigs for s in r.sensors]
         if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):
             said = "put the folder of a pass before each, or move the images"
             run.said.append(f"COLMAP's image_prefix begins a name: {said}")
         if len(set(folders)) < len(folders):
             raise InputError(
-                f"{run.folder}: its cameras are told by EXIF and share folders, and a rig_config.json goes by folder: "
-                "take the cameras of the COLMAP model in its folder sparse"
+                f"{run.folder}: its cameras are distinguished by EXIF and share folders, but a rig_config.json needs "
+                "folders: take the cameras of the COLMAP model in its folder sparse"
             )
         return RigFile(rig_config(rigs), tuple(run.said))
     if run.unscaled:
         raise InputError(
-            f"{folder}: nothing in this run told metres, and the places of {run.unscaled[0]} would be in units of the "
+            f"{folder}: this run has no metric scale, and the positions of {run.unscaled[0]} would be in units of the "
             f"model: give positions, control points or a measured baseline ([[pairs]] of the rig file) and run "
             f"`{command('georef', folder)}`, or take --format {CONFIG}, which has no unit"
         )
     if len(rigs) > 1:
         raise InputError(
-            f"{folder}: {len(rigs)} rigs ({', '.join(r.name for r in rigs[:4])}), and a rig.toml holds one; take "
+            f"{folder}: {len(rigs)} rigs ({', '.join(r.name for r in rigs[:4])}), but a rig.toml has one; take "
             "--format rig_config, or the cameras of the COLMAP model in its folder sparse"
         )
     run.said += [f"contradicted in that run: {text}" for text in run.receipt.get("contradictions", ())]
-    said = [f"As the run in {folder} found it.", *run.said]
+    said = [f"As found by the run in {folder}.", *run.said]
     text = rig_toml(rigs[0], "\n".join(said))
-    parse_rig_file(Path(folder), text, run.tuning.scan.rig)  # what cannot be read again must not be written
+    parse_rig_file(Path(folder), text, run.tuning.scan.rig)  # an unreadable file must not be written
     return RigFile(text, tuple(run.said))
 
 
@@ -237,7 +237,7 @@ def rig_of_run(rig: str | None) -> RigFile | None:
 
 
 def _found(run: FoundRun, index: int) -> Rig:
-    """A rig with the cameras, places and sigmas of the model."""
+    """A rig with the cameras, poses and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
     reference = sensor_id(1 + run.scene.first_sensor(index))
@@ -250,15 +250,15 @@ def _found(run: FoundRun, index: int) -> Rig:
     if not several:
         found = given
     elif not rigid:
-        run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
+        run.said.append(f"{given.name}: its poses are as given: the run did not use the rig (sparse.rig = absent)")
         found = given
     elif mode == "fixed":
         found = held.scaled(1 / held.units(given))
         pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
         moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
-        but = f" but for {', '.join(moved)}, which the images turned or moved"
+        but = f" except for {', '.join(moved)}, which the images rotated or moved"
         said = f"held by the run{but}" if moved else "as given: the run held them"
-        run.said.append(f"{given.name}: its places {'were' if moved else 'are'} {said}")
+        run.said.append(f"{given.name}: its poses {'were' if moved else 'are'} {said}")
     else:
         _say_scale(run, found)
         found = _with_sigmas(run, replace(found, fixed=False), index)
@@ -283,7 +283,7 @@ def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
 
 
 def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
-    """The rig with the cameras that hang on it: no match says anything of these, so they stay as they were given."""
+    """The rig with its dependent cameras: no match constrains these, so they stay as given."""
     own = {s.name for s in found.sensors}
     given, hung = (
         replace(whole, sensors=tuple(s for s in whole.sensors if (s.name in own) == of)) for of in (True, False)
@@ -295,7 +295,7 @@ def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
         with_file, said = with_camera(sensor, sensor.camera, True, (), run.tuning.scan.rig.camera)
         sensors.append(with_file)
         run.said += said
-    run.said.append(f"{found.name}: {', '.join(s.name for s in sensors)} hang on it: places and lenses are as given")
+    run.said.append(f"{found.name}: {', '.join(s.name for s in sensors)} depend on it: poses and lenses are as given")
     pairs = tuple(p for p in whole.pairs if not set(p.sensors) <= own)
     return replace(found, sensors=(*found.sensors, *sensors), pairs=(*found.pairs, *pairs))
 
@@ -304,13 +304,13 @@ def _say_times(run: FoundRun, given: Rig) -> None:
     if late := _late_ms(run, given):
         told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items())
         run.said.append(
-            f"{given.name}: the cameras do not fire at one instant, and each has a time of its own in the model. Left "
-            f"out, because a rig file cannot say it: {told}"
+            f"{given.name}: the cameras do not fire at one instant, and each has a time offset in the model. Left "
+            f"out, because a rig file cannot contain it: {told}"
         )
 
 
 def _late_ms(run: FoundRun, rig: Rig) -> dict[str, float]:
-    """When each camera but the first fires against it, milliseconds; {} if the run has no times."""
+    """Time offset of each camera to the first, milliseconds; {} if the run has none."""
     columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
     at = columns.index(OFFSET) if OFFSET in columns else -1
     names = {s.name for s in rig.sensors[1:]}
@@ -330,21 +330,21 @@ def _say_scale(run: FoundRun, rig: Rig) -> None:
         run.said.append(f"{rig.name}: lengths are in metres by {metres.source}{known}")
     elif any(s.sensor_from_rig is not None and s.sensor_from_rig[:3, 3].any() for s in rig.sensors):
         run.unscaled.append(rig.name)
-        run.said.append(f"{rig.name}: lengths are in model units, for nothing told metres")
+        run.said.append(f"{rig.name}: lengths are in model units, because the scale is unknown")
 
 
 def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
-    """Sigmas of the adjustment for each axis. Sensors that hardly a tie held stand as the rig file of the run had them,
-    those of a drawing with what one is trusted with.
+    """Sigmas of the adjustment for each axis. Sensors with too few ties stay as in the rig file of the run,
+    nominal ones with the sigma of a drawing.
 
-    What was measured between pairs is in the sigmas, and left away: it would count twice.
+    Measurements between pairs are part of the sigmas, and omitted: they would count twice.
     """
     given = run.scene.rigs[index]
     table = {row[0]: row[1:] for row in run.rows(MOUNTING)}
     names = [s.name for s in found.sensors[1:]]
     untold = [n for n in names if n not in table]
     if untold:
-        run.said.append(f"{found.name}: the run has no sigmas of the places of {', '.join(untold)}")
+        run.said.append(f"{found.name}: the run has no sigmas of the poses of {', '.join(untold)}")
         return found
     sensors, kept = [found.sensors[0]], []
     scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
@@ -354,16 +354,16 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
         metres = _with_scale(run, scale * sigma / np.sqrt(3), scale * float(np.linalg.norm(xyz)))
         sigma_deg, sigma_m = min(turn / np.sqrt(3), SIGMA_DEG[1]), min(metres, SIGMA_M[1])  # of an axis, a coordinate
         looks = [s.sensor_from_rig[:3, :3] for s in (sensor, before) if s.sensor_from_rig is not None]
-        if len(looks) == 2 and np.allclose(*looks, rtol=0, atol=1e-12):  # exactly where it was given
+        if len(looks) == 2 and np.allclose(*looks, rtol=0, atol=1e-12):  # exactly as given
             kept.append(sensor.name)
             sigma_deg, sigma_m = before.sigma_deg or sigma_deg, before.sigma_m or sigma_m
-            if given.nominal:  # the coarse model may have turned it by ties that did not hold
+            if given.nominal:  # the coarse model may have rotated it by ties that did not hold
                 trusted = run.tuning.sfm.rig
                 sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
                 sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
         sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
     if kept:
-        run.said.append(f"{found.name}: {', '.join(kept)} stands as given: too few ties told its place in the rig")
+        run.said.append(f"{found.name}: {', '.join(kept)} as given: too few ties determine the pose in the rig")
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
 
 

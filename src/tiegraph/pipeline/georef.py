@@ -1,5 +1,5 @@
-"""Glue of georef: the model into the world, with everything that was measured there; and what a run then says of its
-own accuracy."""
+"""Glue of georef: the model into the world, with all measurements there; and the predicted accuracy of a
+run."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -91,37 +91,37 @@ def georef(run: Run) -> Outcome:
 
 
 def _hang(run: Run, folder: Path, scale_source: str) -> tuple[int, list[str]]:
-    """Add the images that hang on their rig to the model in a folder; how many have a pose now, and what to say."""
+    """Add the images with poses by their rig to the model in a folder; how many have a pose now, and notes."""
     if not run.path("whole.json").exists():
         return 0, []
     survey = whole(run)
     count = int((~carries(survey)).sum())
     if scale_source == "none":
         return 0, [
-            f"{count} images hang on their rig and have no pose in the model, for nothing tells its metres (positions, "
+            f"{count} images that depend on their rig have no pose in the model: its scale is unknown (positions, "
             "control points, scale bars, a second wide camera); `tiegraph shots --posed` takes them from the shots"
         ]
     model = load_model(folder)
     hung = with_hanging(model, survey)
     hung.write(folder)
     more = hung.num_reg_images() - model.num_reg_images()
-    return more, [f"{more} of {count} images that hang on their rig stand where it places them"]
+    return more, [f"{more} of {count} images that depend on their rig have poses by it"]
 
 
 def _georeferenced(run: Run, request: GeorefRequest) -> tuple[OneWorld, tuple[str, ...]]:
-    """The models in one world; once more by similarities alone if that ends its process, and what is said of it."""
+    """The models in one world; once more by similarities alone if that ends its process, with a note."""
     try:
         return run_in_child(georeference_folders, request, log=run.log, task="georeferencing"), ()
     except ChildDied as error:
         remove(request.target)
         plain = replace(request, settings=request.settings.model_copy(update={"adjust": "no"}))
         found = run_in_child(georeference_folders, plain, log=run.log, task="georeferencing")
-        return found, (f"not adjusted with what was measured in the world: {str(error).splitlines()[0]}",)
+        return found, (f"not adjusted with the measurements in the world: {str(error).splitlines()[0]}",)
 
 
 def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str, ...], tuple[str, ...]]:
     """Control points and scale bars of the settings with their marks, those of coded targets found by the cameras of
-    the largest model; notes on the search, and contradictions, where the file does not fit the images: then nothing."""
+    the largest model; notes on the search, and contradictions, if the file does not fit the images: then nothing."""
     file = control_file(run)
     if file is None:
         return Measurements(), (), ()
@@ -161,7 +161,7 @@ def covered_frames(run: Run, scene: Scene) -> np.ndarray | None:
 
 
 def _tables(placed: Georeference) -> dict[str, dict]:
-    """What says what; control and check points, one a row, and their accuracy."""
+    """Statements of the sources; control and check points, one a row, and their accuracy."""
     said = {"evidence": evidence.table(placed.findings.statements)} if placed.findings.statements else {}
     if placed.control.bars:
         columns = ["from", "to", "role", "length m", "model m", "off mm", "sigma mm", "not used because"]
@@ -180,7 +180,7 @@ def _tables(placed: Georeference) -> dict[str, dict]:
 
 
 def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
-    """Lever arms of the cameras with their sigmas in metres, where something told the scale."""
+    """Lever arms of the cameras with their sigmas in metres, if the scale is known."""
     found = receipt.get("tables", {}).get(MOUNTING)
     if found is None or placed.scale_source == "none":
         return {}
@@ -190,14 +190,14 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 
-# --- what a run says of its own accuracy before anything measures it -----------------------------------------------
+# --- accuracy of a run by its own prediction -------------------------------------------------------------------------
 
 
 _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}
 
 
 def stated(run: Run, points: Mapping[str, float]) -> Stated:
-    """All of it; ``points``: what the cloud's receipt counts of the sigmas of its points."""
+    """All of it; ``points``: counts of the sigmas of points in the cloud's receipt."""
     world = load_json(run.path("world.json"))
     predicted = _predicted(run, world, points)
     return Stated(predicted=predicted, hold=_hold(run, world), world=world)
@@ -207,7 +207,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
     sigma, inside = world.get("sigma") or {}, world.get("model_sigma") or {}
     half, most = inside.get("median", np.nan), inside.get("p90", np.nan)
     scale = sigma.get("scale", np.nan)
-    if not sigma and world["scale_source"] != "none":  # not placed: the rig alone says how large it is
+    if not sigma and world["scale_source"] != "none":  # not placed: only the rig determines its size
         rows = world.get("evidence", {}).get("rows", [])
         scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
     model, error = load_model(run.path("sparse", "world")), placement_error(run.folder)
@@ -225,7 +225,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
 
 
 def _hold(run: Run, world: dict) -> Hold:
-    """What holds the model in the world."""
+    """The control of the model in the world."""
     scene = checked(run)
     if not world["placed"]:
         return Hold(frames=scene.frames)

@@ -1,8 +1,8 @@
-"""What a user hands over, checked before anything is made: by itself, and against the images of a scan.
+"""The user's inputs, checked before anything is made: by themselves, and against the images of a scan.
 
-Refused before anything is made or stored: what cannot be meant, in a table, a rig, a pose file, a position or a CRS,
-with file, line, value and remedy. What is only doubtful is a note. What only the images can tell is checked at
-``scan``. Coded targets of a control point file are looked for in the images.
+Refused before anything is made or stored: impossible values in a table, a rig, a pose file, a position or a CRS,
+with file, line, value and remedy. Doubts are notes. Checks that need the images are made at
+``scan``. Coded targets of a control point file are searched for in the images.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ from tiegraph.targets.tuning import Tuning
 def check_given(stages: Sequence[Stage], run: Run) -> None:
     """Refuse wrong inputs and settings before a stage runs and before they are stored; makes nothing.
 
-    Where the scan is up to date, files that only name its images are held against it, for it will not run again.
+    If the scan is up to date, files that only name its images are compared with it, because it will not run again.
     Raises InputError and SettingsError, naming option, path and remedy.
     """
     given, settings = run.inputs, run.settings
@@ -78,7 +78,7 @@ def _trajectory(given: Inputs) -> Path | None:
 
 
 def _read_settings(settings: Settings) -> None:
-    """Read the files of settings that need no image, for the errors this raises: most stages look hours later."""
+    """Read the files of settings that need no image, for the errors this raises: most stages read them hours later."""
     if settings.georef.gcp is not None:
         read_gcps(settings.georef.gcp, settings.tuning.scene.control, settings.georef.marks)
     elif settings.georef.marks is not None:
@@ -115,7 +115,7 @@ def _read_inputs(run: Run) -> None:
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
-    """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit, or no
+    """Notes on control points and the pair list for the images of a scan. Raises InputError if they do not fit, or no
     reference mask is of an image."""
     file = control_file(run)
     notes: tuple[str, ...] = ()
@@ -136,7 +136,7 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
 
 
 def orientations(run: Run, scene: Scene, file: GcpFile) -> dict[int, int]:
-    """By EXIF, of the images that a file marks, by scene index; those that are no files of the user's are left out."""
+    """By EXIF, of the images that a file marks, by scene index; those that are no files of the user are left out."""
     root, lookup = source_of(run.inputs.images), image_lookup(scene)
     images = {k for mark in file.marks if (k := found_by(lookup, mark.image)) is not None}
     found = {k: on_disk(root, scene.source_name(k)) for k in sorted(images)}
@@ -144,7 +144,7 @@ def orientations(run: Run, scene: Scene, file: GcpFile) -> dict[int, int]:
 
 
 def control_file(run: Run) -> GcpFile | None:
-    """The control point file of the settings, as it stands there; None without one."""
+    """The control point file of the settings, unchanged; None without one."""
     settings = run.settings
     path = settings.georef.gcp
     if path is None:
@@ -161,9 +161,9 @@ def target_marks(
     run: Run, scene: Scene, file: GcpFile, model: pycolmap.Reconstruction | None = None, most: int | None = None
 ) -> TargetMarks:
     """Marks of the file's coded targets in the prepared images, ``most`` of them or all; by the cameras of a model
-    where there is one.
+    if there is one.
 
-    Raises InputError where none of them is seen in any image, with the family that is, if there is one.
+    Raises InputError if none of them is seen in any image, with the family that is, if there is one.
     """
     named = file.targets
     if not named:
@@ -184,7 +184,7 @@ def _search(path: Path, families: Sequence[str], tuning: Tuning) -> list[Seen]:
 
 
 def _say_family(run: Run, scene: Scene, file: GcpFile, families: Sequence[str], tuning: Tuning) -> None:
-    """Raise InputError: no target is seen; with what else is."""
+    """Raise InputError: no target is seen; with the families that are."""
     images = evenly(len(scene), 12).tolist()
     others = [f for f in OTHERS if f not in families]
     found = run.map(_search, [run.path("images", scene.names[k]) for k in images], others, tuning)

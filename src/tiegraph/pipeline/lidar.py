@@ -1,6 +1,6 @@
 """Glue of the LiDAR reference: scans -> trajectory and map -> beside a run.
 
-What is made stands in a folder of its own; ``evaluate`` takes rig and map.laz from there as references of a run.
+The results are in a folder of their own; ``evaluate`` takes rig and map.laz from there as references of a run.
 """
 
 import os
@@ -55,7 +55,7 @@ _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
 
 @dataclass(frozen=True)
 class SurveyRun:
-    """What of a run is compared: its frames with a pose and a time, sorted by time, and their numbers; which of its
+    """Parts of a run for the comparison: its frames with a pose and a time, sorted by time, and their numbers; which
     images (N,) are registered; points (M, 3) of its model; its cloud, if it has one; seconds of paper 001's rows."""
 
     scene: Scene
@@ -91,7 +91,7 @@ class SurveyRun:
             rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
             frame=frame,
             used=registration(model, scene, tuning).registered,
-            # Images that a point is seen in: of two, a wrong match is not noticed
+            # Images in which a point is seen: with two, a wrong match is not noticed
             points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= 3]).reshape(-1, 3),
             cloud=load_cloud(cloud, world_origin(folder)) if cloud.exists() else None,
             seconds={**seconds, "Overall processing": sum(seconds.values())},
@@ -105,14 +105,14 @@ def lidar(
     reporter: Reporter | None = None,
     tunings: VerbTunings | None = None,
 ) -> dict[str, Any]:
-    """Trajectory and map of a LiDAR into a folder, and a run beside them; returns what lidar.json holds.
+    """Trajectory and map of a LiDAR into a folder, compared with a run; returns the content of lidar.json.
 
     Raises InputError for scans, runs or folders that cannot be used, before anything is written.
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.lidar
     if os.path.lexists(out) and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"-o {out}: is there already: give a new or an empty folder")
+        raise InputError(f"-o {out}: exists already: give a new or an empty folder")
     beside = None if settings.run is None else SurveyRun.read(settings.run, tunings.scene.registered)
     given = _given(settings)
     how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
@@ -144,7 +144,7 @@ def lidar(
     if beside is not None and found is not None:
         poses = rig_in_lidar_world(path, beside.rig.time_s, found)
         (out / RIG).mkdir()
-        for number, name in enumerate(beside.scene.sequences):  # a file a pass that the LiDAR saw
+        for number, name in enumerate(beside.scene.sequences):  # a file for each pass seen by the LiDAR
             rows = np.flatnonzero((beside.rig.group == number) & np.isfinite(poses[:, 0, 0]))
             if len(rows):
                 write_tum(out / RIG / f"{Path(name).name}.tum", beside.rig.time_s[rows], poses[rows])
@@ -171,7 +171,7 @@ def _given(settings: LidarSettings) -> Given:
 def _trajectory(
     recording: Recording, settings: LidarSettings, tuning: Tuning, reporter: Reporter
 ) -> tuple[Poses, Cloud, list[str]]:
-    """The LiDAR's path, its map and what to say. The scans are gone through twice: for the poses, and for the map by
+    """The LiDAR's path, its map and notes. The scans are read twice: for the poses, and for the map by
     the final ones."""
     times = []
     with reporter.stage("odometry"):
@@ -188,7 +188,7 @@ def _trajectory(
         cloud, lost = _map(recording, time_s, poses, settings, reporter)
     notes = [*recording.notes]
     if lost:
-        notes.append(f"{lost} points at no place (NaN or 0) left out")
+        notes.append(f"{lost} points without coordinates (NaN or 0) left out")
     usual = float(np.median(np.diff(time_s)))
     gaps = np.flatnonzero(np.diff(time_s) > 5 * usual)
     if len(gaps):
@@ -215,7 +215,7 @@ def _map(
 
 
 def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning) -> dict[str, Any]:
-    """The odometry against the poses that the scans came with: drift at the end in the frame of the first scan."""
+    """The odometry against the poses that came with the scans: drift at the end in the frame of the first scan."""
     length = float(path_length(given[:, :3, 3])[-1])
     moved = transforms.invert(poses[0]) @ poses[-1]
     true = transforms.invert(given[0]) @ given[-1]
@@ -250,7 +250,7 @@ def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given) -> 
 
 
 def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tunings: VerbTunings) -> dict[str, Any]:
-    """What lidar.json says of a run: tables, hand-eye calibration, notes."""
+    """The content of lidar.json for a run: tables, hand-eye calibration, notes."""
     by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
     inside = np.flatnonzero(np.isfinite(by_lidar[:, 0, 0]))
     rig, frame, by_lidar = run.rig.where(inside), run.frame[inside], by_lidar[inside]
@@ -271,15 +271,15 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     sections = np.unique(run.scene.section[run.scene.section >= 0])
     columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
     tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
-    notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
+    notes = [f"not determined by the motion, and not to be used: {what}" for what in found.left_open]
     if found.fit.turn_rms_deg > 1.0:
-        off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
-        notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
+        off = f"the rotations of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
+        notes.insert(0, f"{off}: are these one survey, and are the times right? Do not use the values below until then")
     if found.tie is not None:
         tied = (
             f"{found.tie.points} points of the run within {1000 * found.tie.rms_m:.0f} mm RMS of the LiDAR's surfaces"
         )
-        notes.append(f"the LiDAR's place on the rig by {tied}; by the motion alone it would be known worse")
+        notes.append(f"the LiDAR's position on the rig by {tied}; by the motion alone it would be less accurate")
     if run.cloud is None:
         notes.append("the run has no cloud.laz: trajectories only were compared")
     return {

@@ -1,4 +1,4 @@
-"""Glue of marking: a run and the points of a file, where they are to be seen, and the file of marks."""
+"""Glue of marking: a run and the points of a file, their predicted places in the images, and the file of marks."""
 
 import hashlib
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ _THREE = 3  # places, for a similarity
 
 
 class ChangedMeanwhile(InputError):
-    """The file of marks was changed by somebody else since it was read or written here."""
+    """The file of marks was changed by another program since it was read or written here."""
 
 
 @dataclass
@@ -44,10 +44,10 @@ class Marking:
     target: Path
     crs: str
     model: Any  # pycolmap.Reconstruction or None
-    surveyed: np.ndarray  # (P, 3) in the world of the model where that is placed, else up to a similarity
+    surveyed: np.ndarray  # (P, 3) in the world of the model if that is placed, else up to a similarity
     placed: bool
     marks: dict[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
-    written: str = ""  # digest of the file as we know it, "" = not there
+    written: str = ""  # digest of the file as last known, "" = not there
 
     @cached_property
     def views(self) -> dict[int, tuple[np.ndarray, pycolmap.Camera]]:
@@ -59,7 +59,7 @@ class Marking:
         return {index[i.name]: (matrix(i.cam_from_world()), i.camera) for i in images}
 
     def state(self) -> dict[str, Any]:
-        """All there is to show: points with their marks, predicted places and residuals; images."""
+        """Content of the page: points with their marks, predicted places and residuals; images."""
         found = self._found()
         views, fit = self.views, self._model_from_survey(found)
         points = [self._point(k, found[k], views, fit) for k in range(len(self.file.points))]
@@ -70,7 +70,7 @@ class Marking:
         }  # fmt: skip
 
     def set(self, point: int, image: int, xy: tuple[float, float] | None) -> None:
-        """Set or take away one mark and write the file. Raises ChangedMeanwhile; InputError for what is outside."""
+        """Set or remove one mark and write the file. Raises ChangedMeanwhile; InputError for a pixel outside."""
         if not 0 <= point < len(self.file.points) or not 0 <= image < len(self.scene):
             raise InputError("no such point or image")
         if xy is not None:
@@ -137,12 +137,12 @@ class Marking:
         return targets(self.model, self.scene, marks, count, self.run.settings.tuning.sfm.world.marks)
 
     def _model_from_survey(self, found: list[Target]) -> Similarity | None:
-        """From surveyed coordinates to the model: by three points that are marked, else as the model is placed."""
+        """From surveyed coordinates to the model: by three points that are marked, else by the model's placement."""
         known = [k for k, t in enumerate(found) if not t.why_not]
         if len(known) >= _THREE:
             places = self.surveyed[known]
             spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-        if len(known) >= _THREE and spread[1] > 0.02 * spread[0]:  # not along one line, about which it could turn
+        if len(known) >= _THREE and spread[1] > 0.02 * spread[0]:  # not along one line, about which it could rotate
             return umeyama(self.surveyed[known], np.array([found[k].place for k in known]))
         return Similarity() if self.placed else None
 
@@ -175,9 +175,9 @@ class Marking:
 
 
 def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
-    """A session over a run folder that has been scanned. Marks that ``target`` holds already are gone on with.
+    """A session over a run folder that has been scanned. Marks in ``target`` are kept.
 
-    Raises InputError for a file without points or CRS, and a target that holds points which are not among them.
+    Raises InputError for a file without points or CRS, and a target with points which are not among them.
     """
     given = points or run.settings.georef.gcp
     if given is None:
@@ -190,9 +190,7 @@ def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
     placed = origin is not None and bool(load_json(world).get("placed"))
     crs = file.crs or (origin.crs if origin is not None else scene.origin.crs if scene.origin is not None else None)
     if crs is None:
-        raise InputError(
-            f"--points {given}: nothing says in which CRS its coordinates are: begin it with # crs: EPSG:n"
-        )
+        raise InputError(f"--points {given}: the CRS of its coordinates is unknown: begin it with # crs: EPSG:n")
     parse_crs_line(crs, str(given))
     folder = next((f for f in (run.path("sparse", "world"), run.path("sparse", "0")) if f.exists()), None)
     if origin is None:
@@ -210,12 +208,12 @@ def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
 
 
 def _go_on(session: Marking, given: GcpFile) -> None:
-    """Take over the marks of the target file, or those of the points' own file where there is none yet."""
+    """Read the marks of the target file, or those of the points' own file if there is none yet."""
     session.written = _digest(session.target)
     if session.written:
         given = read_gcps(session.target, session.run.settings.tuning.scene.control)
         if given.bars:
-            raise InputError(f"{session.target} holds scale bars, which would be lost: give another -o")
+            raise InputError(f"{session.target} contains scale bars, which would be lost: give another -o")
     names = {p.name: k for k, p in enumerate(session.file.points)}
     lookup = image_lookup(session.scene)
     for mark in given.marks:
@@ -246,7 +244,7 @@ def odm_text(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:
         point = points[mark.name]
         bad = next((n for n in (mark.name, mark.image) if not n or len(n.split()) != 1), None)
         if bad is not None:
-            raise InputError(f"{bad!r} has blanks, which a gcp_list.txt cannot hold: give -o a name that ends in .csv")
+            raise InputError(f"{bad!r} has blanks, not possible in a gcp_list.txt: give -o a name that ends in .csv")
         x, y, z = (point.xyz[k] for k in ((1, 0, 2) if file.geographic else (0, 1, 2)))
         place = f"{x:.10g} {y:.10g} {z:.6g}" if file.geographic else f"{x:.4f} {y:.4f} {z:.4f}"
         role = " check" if point.check else ""

@@ -1,4 +1,4 @@
-"""Glue of masks: from images to the pixels that are worth a feature."""
+"""Glue of masks: from images to the usable pixels for features."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from tiegraph.text import csv_text
 
 
 def masks(run: Run) -> Outcome:
-    """One mask an image: what is learnt from the whole sequence, then applied image by image."""
+    """One mask an image: learnt from the whole sequence, then applied image by image."""
     scene, settings, tuning = scanned(run), run.settings.masks, run.settings.tuning.masks
     source, why = explain_source(scene, settings, tuning)
     run.path("classes").mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def masks(run: Run) -> Outcome:
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
     inverted = []
-    # Used of all pixels: what is seen of an object before a backdrop is more
+    # Used of all pixels: more is seen of an object before a backdrop
     if source == "folder" and counts["used_percent"] < 20:
         inverted.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
     return Outcome(
@@ -102,13 +102,13 @@ def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
 
 @dataclass(frozen=True)
 class _How:
-    """What the masks of all images share."""
+    """The common data of the masks of all images."""
 
     folder: Path
     source: str
     settings: MasksSettings
     tuning: Tuning
-    lit: Mapping[int, np.ndarray | None]  # of the cameras: (H, W) bool, what their lenses light
+    lit: Mapping[int, np.ndarray | None]  # of the cameras: (H, W) bool, image circle of their lenses
 
 
 def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:

@@ -16,7 +16,7 @@ from tiegraph.text import some
 
 
 def forget_matches(folder: Path) -> None:
-    """Clear what match owns in the shared database."""
+    """Clear the rows of match in the shared database."""
     if (folder / "database.db").exists():
         database.clear_matches(folder / "database.db")
 

@@ -1,4 +1,4 @@
-"""Glue of what is measured in a finished map: profiles along a line, volumes inside polygons."""
+"""Glue of measurements in a finished map: profiles along a line, volumes inside polygons."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,13 +35,13 @@ _PARTS = {
     "near_base": "of ground on the base",
 }
 _SAME_M = 1e-3  # where surface and terrain are nearer the ground was seen
-_SEEN = (0.5, 0.98)  # shares of a polygon: less is refused, less is told
+_SEEN = (0.5, 0.98)  # shares of a polygon: below the first it is refused, below the second there is a note
 
 
 @dataclass(frozen=True, eq=False)
 class MapFiles:
     """The rasters of the map of a run folder: edge of a pixel, rows and columns, the upper left corner (2,) in the CRS,
-    the shift (3,) from the world to that, and where the world is."""
+    the shift (3,) from the world to that, and the origin of the world."""
 
     folder: Path
     origin: Origin | None
@@ -52,7 +52,7 @@ class MapFiles:
     shift: np.ndarray
 
     def path(self, name: str) -> Path:
-        """Where a raster is."""
+        """The file of a raster."""
         return self.folder / FOLDER / MAP / f"{name}.tif"
 
     def read(self, name: str, window: Window, step: int = 1) -> np.ndarray:
@@ -72,7 +72,7 @@ class MapFiles:
         return np.all((at >= 0) & (at <= self.shape[::-1]), axis=1)
 
     def extent(self) -> str:
-        """How far the map reaches, in words."""
+        """The extent of the map, in words."""
         far = self.corner + np.array([self.shape[1], -self.shape[0]]) * self.pixel
         east, north = (f"{a:.2f} to {b:.2f}" for a, b in ((self.corner[0], far[0]), (far[1], self.corner[1])))
         return f"the map reaches from {east} east and from {north} north"
@@ -153,8 +153,8 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
 
 
 def make_profile(folder: Path, line: Sequence[str], out: Path) -> Profile:
-    """Write heights along a line of a map as CSV, and beside it a chart as SVG. Raises InputError for no map, a line
-    that is none or lies outside, and another CRS."""
+    """Write heights along a line of a map as CSV, and beside it a chart as SVG. Raises InputError for no map, an
+    invalid line or one outside, and another CRS."""
     from tiegraph.products.profile import chart  # draws
 
     map_ = open_map(folder)
@@ -179,7 +179,7 @@ def measure_volumes(
 ) -> list[dict[str, Any]]:
     """Volumes inside each polygon of a file, JSON-ready. ``base``: plane, lowest, a height in the CRS, or the run
     folder of another survey; ``surface``: dsm or dtm. Raises InputError for no map, polygons that are none, cross
-    themselves, lie outside or where nothing is known, and another CRS."""
+    themselves, lie outside or where no heights are known, and another CRS."""
     map_ = open_map(folder)
     if not map_.path(surface).exists():
         raise InputError(f"{folder} has no terrain model: tiegraph products {folder}")
@@ -238,11 +238,11 @@ def _measured(
     found = volumes(patch, under, polygon, known, tuning)
     notes = []
     if seen < _SEEN[1]:
-        notes.append(f"heights are known on {seen:.0%} of the polygon, and volumes are of that")
+        notes.append(f"heights are known on {seen:.0%} of the polygon, and volumes are of that part")
     if known.placed is None:
-        notes.append("nothing tells how well the survey lies in the world: sigmas are without that")
+        notes.append("the accuracy of the survey in the world is unknown: sigmas do not include it")
     if step > 1:
-        notes.append(f"measured in pixels of {patch.pixel:g} {map_.unit}, for the polygon is large")
+        notes.append(f"measured in pixels of {patch.pixel:g} {map_.unit}, because the polygon is large")
     return finite({
         "unit": map_.unit, "area": area_of(polygon), "seen": seen, "surface": surface, "base": under.said,
         **{k: {"value": v.value, "sigma": v.sigma, "parts": v.parts} for k, v in found.items()}, "notes": notes,
@@ -250,7 +250,7 @@ def _measured(
 
 
 def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[Window, int]:
-    """The pixels around a polygon that tell its volume, and how many of them along an edge are taken together."""
+    """The pixels around a polygon for its volume, and how many of them along an edge are combined."""
     at = map_.pixels(polygon + map_.shift[:2])
     step, size = 1, np.ptp(at, axis=0)
     while np.prod(size / step + 2) > MOST_PIXELS:
@@ -275,7 +275,7 @@ def _sigma(name: str) -> str:
 
 
 def _ground(map_: MapFiles, window: Window, step: int) -> Patch:
-    """The surface where it is the terrain, or as it is where there is no terrain model."""
+    """The surface where it is the terrain, or everywhere if there is no terrain model."""
     surface = _patch(map_, "dsm", window, step)
     if not map_.path("dtm").exists():
         return surface
@@ -319,7 +319,7 @@ def _moved_to(known: Known, shift: np.ndarray) -> Known:
 
 
 def said(found: dict[str, Any]) -> str:
-    """What was measured of a polygon, in a sentence."""
+    """The measurements of a polygon, in a sentence."""
     unit = found["unit"]
     each = [
         f"{name} {found[name]['value']:.2f} ± {found[name]['sigma']:.2f} {unit}3" for name in ("cut", "fill", "net")

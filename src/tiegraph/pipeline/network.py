@@ -1,4 +1,4 @@
-"""Glue of network: the candidate pairs as they go on, with sections and pictures."""
+"""Glue of network: the final candidate pairs, with sections and pictures."""
 
 from tiegraph.network.network import join_network, with_bases
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
@@ -8,7 +8,7 @@ from tiegraph.project.stages import Outcome, save_json, write_atomic
 
 
 def network(run: Run) -> Outcome:
-    """The pairs that candidates and the coarse model left, the survey cut into sections, and the tie graph drawn."""
+    """The pairs left by candidates and the coarse model, the survey cut into sections, and the tie graph drawn."""
     scene = load_scene(run.path("coarse", "scene.json"))
     light = up_light(run, scene)
     settings = run.settings.candidates, run.settings.network

@@ -31,14 +31,14 @@ _COLUMNS = (
 
 
 _NO_POSE = (
-    "no pose was found: frames must share textured surface, seen from places apart where cameras have no common view, "
-    "and the focal lengths must be right"
+    "no pose was found: frames must share textured surface, seen from different positions if cameras have no common "
+    "view, and the focal lengths must be right"
 )
 
 
 @dataclass(frozen=True)
 class Made:
-    """What the odometry of one pass made: the trajectory's file, what is to be said of it, frames a second."""
+    """The result of the odometry of one pass: the trajectory's file, notes, frames a second."""
 
     tum: Path
     said: tuple[str, ...]
@@ -49,7 +49,7 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
     """Follow the rig through every pass of a scanned survey; write ``out`` (TUM) and beside it a CSV of the same name
     with segments and sigmas, or of several passes a folder named as ``out`` without suffix, with a pair a pass.
 
-    Raises InputError for a rig that is not calibrated, and outputs that are there already; ReconstructionError if
+    Raises InputError for a rig that is not calibrated, and existing outputs; ReconstructionError if
     nothing can be followed.
     """
     scene = scanned(run)
@@ -58,7 +58,7 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
     targets = _files(out, list(passes))
     for path in (p for target in targets for p in (target, target.with_suffix(".csv"))):
         if path.exists():
-            raise InputError(f"{path} is there already: give another -o, or remove it")
+            raise InputError(f"{path} exists already: give another -o, or remove it")
     for (name, frames), target in zip(passes.items(), targets):
         started = time.perf_counter()
         with run.reporter.stage("odometry"):
@@ -74,10 +74,10 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
 
 
 def followed(run: Run, scene: Scene) -> tuple[Followed, tuple[str, ...]]:
-    """The poses that odometry finds of a survey whose images are being scanned, and what is to be said of them; its
+    """The poses by odometry for a survey whose images are being scanned, and notes; its
     files go to ``odometry/`` of the run folder.
 
-    Of each pass the longest segment counts. A pass that cannot be followed has no poses, and it is said. Raises
+    Of each pass the longest segment counts. A pass that cannot be followed has no poses, with a note. Raises
     InputError for a rig that is not calibrated.
     """
     cameras = cameras_of(scene.rigs)
@@ -116,7 +116,7 @@ def _passes(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def _rig_from_body(run: Run) -> np.ndarray:
-    """(4, 4) of the rig file's body, whose poses a trajectory has; the reference camera where there is none."""
+    """(4, 4) of the rig file's body, of the poses of a trajectory; the reference camera if there is none."""
     given, tuning = run.inputs.rig, run.settings.tuning.scan.rig
     known = rig_of_run(given)
     if known is not None:
@@ -169,7 +169,7 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
     head = [
         "# visual odometry of tiegraph; poses of the rig's body, or of its first camera (x right, y down, z forward)",
         *([] if path.metric else [FREE_UNIT]),
-        *([] if timed else ["# the images have no times: numbers of the frames stand for them"]),
+        *([] if timed else ["# the images have no times: numbers of the frames replace them"]),
     ]
     rows: list[str] = []
     table: list[list[str]] = []
@@ -190,17 +190,17 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
 
 
 def _told(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath) -> list[str]:
-    """What a path is like."""
+    """A description of a path."""
     unit, posed = ("m" if path.metric else "units"), path.segment >= 0
     own = np.flatnonzero(path.segment == path.main())
     steps = np.linalg.norm(np.diff(path.world_from_rig[own, :3, 3], axis=0), axis=1)
     last = float(np.linalg.norm(path.sigmas()[0][own[-1]]))
     out = [
         f"{name + ': ' if name else ''}{posed.sum()} of {len(frames)} frames, {steps.sum():.4g} {unit}, sigma at the "
-        f"end {last:.2g} {unit}, {path.keyframe.sum()} keyframes, {path.loops} places seen again"
+        f"end {last:.2g} {unit}, {path.keyframe.sum()} keyframes, {path.loops} places revisited"
     ]
     if not path.metric:
-        out.append("a single camera tells no scale: the first base line has length 1, and the file says so")
+        out.append("a single camera gives no scale: the first base line has length 1, and the file says so")
     if not scene.sequences:
         out.append("loose photographs: taken in the order of their names")
     if not posed.all():
@@ -212,6 +212,6 @@ def _told(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath) -> li
             first, end = (scene.frame_names[frames[k]] for k in (rows[0], rows[-1]))
             out.append(
                 f"segment {other}, {len(rows)} frames from {first} to {end}, could not be joined: it is in the CSV "
-                "only, in a world of its own"
+                "only, in its own world"
             )
     return out

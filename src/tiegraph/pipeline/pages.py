@@ -42,7 +42,7 @@ _CHUNK = 1 << 20  # bytes of a file sent at once
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page on 127.0.0.1; port 0 = any that is free. Raises InputError for a port that cannot be had."""
+    """Serves a page on 127.0.0.1; port 0 = any that is free. Raises InputError for a port that is not available."""
 
     daemon_threads = True
 
@@ -50,16 +50,16 @@ class PageServer(ThreadingHTTPServer):
         try:
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
-            raise InputError(f"--port {port}: cannot be had ({error}); give another, or 0 for any") from error
+            raise InputError(f"--port {port}: not available ({error}); give another, or 0 for any") from error
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """How a browser may call this server."""
+        """Host names by which a browser may call this server."""
         return f"127.0.0.1:{self.server_port}", f"localhost:{self.server_port}"
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """The address of the page."""
         return f"http://{self.hosts[0]}/"
 
     def serve_until_interrupted(self, browser: bool) -> None:
@@ -124,7 +124,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 class WatchServer(PageServer):
-    """Serves the page of a folder that is watched, from now on until ``close``."""
+    """Serves the page of a watched folder until ``close``."""
 
     def __init__(self, port: int) -> None:
         super().__init__(port, _WatchHandler)
@@ -132,7 +132,7 @@ class WatchServer(PageServer):
         threading.Thread(target=self.serve_forever, daemon=True, name="watch-page").start()
 
     def show(self, state: dict[str, Any]) -> None:
-        """What ``/state.json`` says from now on."""
+        """The content of ``/state.json`` from now on."""
         self.state = json.dumps(state, separators=(",", ":")).encode()
 
     def close(self) -> None:

@@ -1,13 +1,13 @@
 """Glue of the comparison of two passes of one run, without any reference: their clouds against each other.
 
-Each is fused of the depth maps of its own images. What this tells is how well both passes agree: poses across the
-survey, and depth. What it does not tell is what both share: the place and scale of the model, the cameras, and what
-matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other. The stage
+Each is fused of the depth maps of its own images. The comparison shows how well both passes agree: poses across the
+survey, and depth. It does not show errors common to both: the place and scale of the model, the cameras, and wrong
+matches in both; and a depth map of one pass may have been confirmed by images of the other. The stage
 ``cloud`` compares some depth maps for the report (``write_agreement``), `compare --passes` all of them.
 
-So that the first costs little (5.7 CPU s on the example survey, 37 and 36 depth maps), the passes are not filtered, of
-which M3C2 needs nothing (mean places in cylinders hardly feel 3 % of strays), their voxels are those of the cloud, and
-5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
+To keep the first cheap (5.7 CPU s on the example survey, 37 and 36 depth maps), the passes are not filtered, which
+M3C2 does not need (mean places in cylinders are hardly affected by 3 % of strays), their voxels are those of the cloud,
+and 5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -41,7 +41,7 @@ Mapper = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class _Pass:
-    """A pass: its images that have depth maps, in the order of its way, and where each was taken (N, 3)."""
+    """A pass: its images that have depth maps, in the order of its path, and their positions (N, 3)."""
 
     name: str
     images: tuple[str, ...]
@@ -61,7 +61,7 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
     found = _two_largest(run, scene)
     if len(found) < 2:
         raise InputError(
-            f"{run.folder}: depth maps of {len(found)} passes, and two are needed: run it to the stage dense, with "
+            f"{run.folder}: depth maps of {len(found)} passes, but two are needed: run it to the stage dense, with "
             "images of each pass in a folder of its own"
         )
     with scratch_folder() as scratch:
@@ -70,7 +70,7 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
 
 
 def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> PassAgreement | None:
-    """Compare depth maps of the two largest passes, all of few and else some near places along the way, and write
+    """Compare depth maps of the two largest passes, all of few and else some near places along the path, and write
     agreement.json, differences.png and differences.laz into the folder ``passes``; None for one pass.
 
     ``voxel_m``: of the cloud of both.
@@ -134,7 +134,7 @@ def _pair(
         second=clouds[1],
         cameras=Cameras(passes[0].centres, tuple(f"{s}" if s >= 0 else "(none)" for s in sections)),
         origin=world_origin(run.folder),
-        held=f"in one model, pass {passes[1].name} minus pass {passes[0].name}: what both share is not told",
+        held=f"in one model, pass {passes[1].name} minus pass {passes[0].name}: common errors of both do not show",
     )
 
 

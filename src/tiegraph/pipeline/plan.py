@@ -1,5 +1,5 @@
 """Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files.
-And what a run will need before it begins.
+And the resources that a run will need.
 """
 
 import json
@@ -51,9 +51,9 @@ PLAN = "plan.json"
 
 
 def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
-    """The plan of what is asked; its files, where a folder for them is named.
+    """The plan for a request; its files, if a folder for them is named.
 
-    Raises InputError for values that make no survey, and for a folder that is there.
+    Raises InputError for values that make no survey, and for an existing folder.
     """
     out = request.output.out
     if out is not None:
@@ -73,7 +73,7 @@ def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
 
 
 def compare(folder: Path, planned: Path | None) -> Table:
-    """What a run reached beside what was planned. Raises InputError for files that are none."""
+    """The results of a run beside the planned values. Raises InputError for invalid files."""
     path = planned or folder / PLAN
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -115,7 +115,7 @@ def reached(folder: Path) -> dict[str, float | None]:
 def _propagate(
     model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning, tuning: SfmTuning
 ) -> Shape:
-    """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
+    """The values of the stage `sparse` for an adjusted model: rig and lenses unknown unless calibrated."""
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
     here = set(model.cameras) if calibrated else free  # lenses that are adjusted or calibrated for this survey
     lens_px = {k: errors.lens_px if k in here else errors.calibration_px for k in model.cameras}
@@ -140,7 +140,7 @@ def _propagate(
 
 
 def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
-    """The cameras of the rig. Raises InputError where their size, lens or place is not known."""
+    """The cameras of the rig. Raises InputError if their size, lens or pose is not known."""
     size, focal = request.image_size(), request.focal_length_px()
     sizes = preset_sizes(request.rig or "single", tuning.rig)
     if sizes:
@@ -153,7 +153,7 @@ def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
     for sensor in spec.sensors:
         camera = _camera(sensor, spec, size, focal, tuning)
         if sensor.body_from_sensor is None:
-            raise InputError(f"--rig {request.rig}: sensor {sensor.name!r} has no place in the rig: a plan needs it")
+            raise InputError(f"--rig {request.rig}: sensor {sensor.name!r} has no pose in the rig: a plan needs it")
         body = np.eye(4)
         body[:3, :3] = AXES[spec.axes]
         pose = transforms.invert(body @ sensor.body_from_sensor)
@@ -175,7 +175,7 @@ def _camera(
     known = sensor.params is not None or sensor.focal_px is not None or (sensor.hfov_deg is not None)
     size = sensor.size or size
     if size is None:
-        raise InputError("nothing says how large the images are: give --size 2448x2050, or a --rig with cameras")
+        raise InputError("the size of the images is unknown: give --size 2448x2050, or a --rig with cameras")
     if not known and focal_px is None:
         raise InputError(f"the focal length of {sensor.name} is not known: give --focal and --pixel, or --focal-px")
     facts = FileFacts(size, focal_px or float("nan"), upright=True, levels=EIGHT_BIT, loose=False)
@@ -205,7 +205,7 @@ _GB = 1e9
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a survey costs, and the disk of its run folder: bytes that are there already, and that are free."""
+    """The cost of a survey, and the disk of its run folder: bytes that exist already, and that are free."""
 
     cost: Effort
     there_bytes: int
@@ -213,7 +213,7 @@ class Forecast:
 
     def enough(self) -> bool:
         """Whether the disk has room for it."""
-        # What is still to be written, with what is only there for a while
+        # Files still to be written, with temporary ones
         return max(self.cost.run_bytes + self.cost.scratch_bytes - self.there_bytes, 0.0) < self.free_bytes
 
     def lines(self, folder: Path) -> list[str]:
@@ -225,20 +225,20 @@ class Forecast:
             f"images: {cost.images}",
             f"disk: about {_gb(cost.model_bytes)} to georef, {_gb(cost.dense_bytes)} more with depth maps, cloud "
             f"and products (0.7 to 2.1 times what five sets took), and {_gb(cost.scratch_bytes)} for a while during "
-            f"sparse; {_gb(self.there_bytes)} are there, {_gb(self.free_bytes)} free at {folder}: {verdict}",
+            f"sparse; {_gb(self.there_bytes)} exist, {_gb(self.free_bytes)} free at {folder}: {verdict}",
             f"CPU time: about {cpu[0]:.2g} h to georef, {cpu[1]:.2g} h more with depth maps, cloud and products, "
             "of one core of an AMD EPYC (the larger part runs on all cores)",
         ]
 
 
 def forecast(run: Run) -> Forecast | None:
-    """The cost of a run by the sizes of some of its images; None where they are frames of videos or bags, which only
+    """The cost of a run by the sizes of some of its images; None if they are frames of videos or bags, which only
     `scan` counts. Nothing is written. Raises InputError for folders without images."""
     source = source_of(run.inputs.images)
     if is_bag(source) or find_videos(source):
         return None
     names = find_images(source)
-    some = names[:: max(len(names) // 40, 1)]  # images whose size stands for all
+    some = names[:: max(len(names) // 40, 1)]  # images whose size represents all
     probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
     sizes = [(p.width, p.height) for p in probes if not p.reason]
     if not sizes:

@@ -27,7 +27,7 @@ def preview(run: Run) -> Outcome:
     dim = dim_images(run.folder, scene.names, tuning)
     said = () if not dim else (
         f"{len(dim)} of {len(scene)} images show little contrast, {np.median(list(dim.values())):.1f} grey levels in "
-        "the median (most in daylight show 20 and more): it is evened before features are looked for",
+        "the median (most in daylight show 20 and more): it is equalised before feature extraction",
     )  # fmt: skip
     return Outcome({"images": len(scene)}, notes=said)
 
@@ -39,7 +39,7 @@ def dim_images(folder: Path, names: Iterable[str], tuning: Tuning) -> dict[str, 
 
 
 def preview_path(folder: Path, name: str) -> Path:
-    """Where the preview of an image is."""
+    """The file of an image's preview."""
     return folder / "preview" / f"{name}.npz"
 
 
@@ -53,7 +53,7 @@ def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: Tu
     save_npz(preview_path(folder, name), **found.to_npz())
 
 
-_CHUNK = 2000  # previews, after which what was matched is kept: a second to some ten of work
+_CHUNK = 2000  # previews, after which the matches are stored: a second to some ten of work
 
 
 def with_previews(
@@ -64,10 +64,10 @@ def with_previews(
     tuning: PreviewTuning,
     run_map: Callable[..., list[Any]],
 ) -> tuple[Pairs, PreviewMatches, int]:
-    """The pairs and ties after previews of every kept pair of which nothing is known, and how many these were.
+    """The pairs and ties after previews of every kept pair without known ties, and the number of these previews.
 
-    Pairs by order, by a pair list or of everybody with everybody come without previews: a method that chooses would
-    choose blind. ``run_map``: map over a pool.
+    Pairs by order, by a pair list or exhaustive ones come without previews: a method that chooses would
+    choose blindly. ``run_map``: map over a pool.
     """
     unknown = (pairs.dropped == 0) & np.isnan(pairs.score) & np.isnan(pairs.overlap)
     rows = np.flatnonzero(unknown & (ties.find(pairs.i, pairs.j) < 0))
@@ -93,8 +93,8 @@ def previews_of(
 
 
 class Matcher:
-    """Matches previews over the pool. What was matched is kept below the run folder until the stage is done, so that a
-    stage that was killed goes on where it stood."""
+    """Matches previews over the pool. Finished matches are kept below the run folder until the stage is done, so that a
+    killed stage continues there."""
 
     def __init__(self, run: Run, folder: str) -> None:
         self._run, self._folder = run, run.path(folder)
@@ -158,7 +158,8 @@ def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, t
 
 
 def up_light(run: Run, scene: Scene) -> UpLight:
-    """What the up cameras show: by the way that ``network.sections`` names, else by previews, masks and EXIF."""
+    """Content of the up cameras' images: by the method that ``network.sections`` names, else by previews, masks and
+    EXIF."""
     way = run.settings.network.sections
     papers.plug_in(papers.LIGHTS, way, LIGHTS)
     if way in LIGHTS:

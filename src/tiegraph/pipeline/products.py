@@ -44,10 +44,10 @@ T = TypeVar("T")
 
 CLOUD = "cloud.copc.laz"
 TILE = 1024
-"""Pixels along the edge of what is made at once."""
+"""Pixels along the edge of a tile."""
 _MOST_SOURCES = np.iinfo(np.uint16).max
 _SHARP = 20_000  # longest side of an undistorted image: as large as they come
-_SAMPLE = 100_000  # points of the cloud that tell which surfaces there are
+_SAMPLE = 100_000  # points of the cloud that determine the surfaces
 
 
 def products(run: Run) -> Outcome:
@@ -95,7 +95,7 @@ def _plans(run: Run) -> list[ViewPlan]:
 
 @dataclass(frozen=True, eq=False)
 class _Pictures:
-    """Where the pixels of the images come from: at their own resolution, undistorted."""
+    """Sources of the images' pixels: at their own resolution, undistorted."""
 
     folder: Path
     plans: list[ViewPlan]
@@ -109,7 +109,7 @@ class _Pictures:
 
 @dataclass(frozen=True, eq=False)
 class _Work(OnSurface):
-    """The rasters of one surface that all have, and the images that give it colour."""
+    """The common rasters of one surface, and the images that give it colour."""
 
     pictures: _Pictures
     views: list[View]
@@ -141,10 +141,10 @@ class _Work(OnSurface):
         self.write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
         write_atomic(self.path("dsm.jpg"), relief(self.path("dsm.tif"), PICTURE_PX, self.place.unit))
 
-    # --- what the images see ------------------------------------------------------------------------------------------
+    # --- visibility in the images -------------------------------------------------------------------------------------
 
     def make_view(self, k: int) -> None:
-        """What an image sees of the surface, and its colours there for the exposures; nothing if it sees nothing."""
+        """The part of the surface that an image sees, and its colours there for the exposures; nothing if none."""
         view, tuning, kept = self.views[k], self.tuning.ortho, self.scratch("view", k)
         if not windows_met(view.camera, self.surface):
             return save_npz(kept)
@@ -166,7 +166,7 @@ class _Work(OnSurface):
         save_npz(self.scratch("gains", 0), gains=gains(patches))
 
     def _kept(self, k: int, kind: type[T], prefix: str) -> T | None:
-        """What was kept of an image; None if it sees nothing."""
+        """The stored data of an image; None if it sees nothing."""
         found = load_npz(self.scratch("view", k))
         names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
         return kind(**{n: found[f"{prefix}{n}"][()] for n in names}) if found else None

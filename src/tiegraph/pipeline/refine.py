@@ -1,4 +1,4 @@
-"""Glue of refine: the first masks, corrected by what the model knows."""
+"""Glue of refine: the first masks, corrected by the model."""
 
 from pathlib import Path
 
@@ -43,7 +43,7 @@ def refine(run: Run) -> Outcome:
     """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
     scene = checked(run)
     known: dict[str, tuple[np.ndarray, Lines | None]] = {}
-    notes: tuple[str, ...] = ("the first masks are the final ones, as the setting says",)
+    notes: tuple[str, ...] = ("the first masks are the final ones, by the setting",)
     if run.settings.refine.geometry == "auto":
         known, notes = _known(run, scene)
     todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
@@ -56,8 +56,8 @@ def refine(run: Run) -> Outcome:
 
 
 def _known(run: Run, scene: Scene) -> tuple[dict[str, tuple[np.ndarray, Lines | None]], tuple[str, ...]]:
-    """What the model knows of each registered image: points (K, 2) f4 in it, shares of width and height, hidden ones
-    too; its waterline and horizon, None if no ring of cameras shows which way is up. And what is to be said of it."""
+    """Data of the model for each registered image: points (K, 2) f4 in it, shares of width and height, also hidden
+    ones; its waterline and horizon, None if no ring of cameras defines the vertical. And notes."""
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
     model = load_model(run.path("sparse", "world"))
@@ -84,7 +84,7 @@ def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[
 def _lines(
     run: Run, scene: Scene, model: pycolmap.Reconstruction, points: np.ndarray
 ) -> tuple[dict[str, Lines], tuple[str, ...]]:
-    """Waterline and horizon of each registered image by the model, with what is to be said of them."""
+    """Waterline and horizon of each registered image by the model, with notes."""
     poses = {i.name: i.cam_from_world() for i in model.images.values() if i.has_pose}
     matrices = np.full((len(scene), 4, 4), np.nan)
     for k, name in enumerate(scene.names):
@@ -93,7 +93,7 @@ def _lines(
     side = scene.of_role("side")
     up = up_vector(matrices[side], scene.frame[side], run.settings.tuning.sfm.world.up)
     if up is None or not up.ring:
-        return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
+        return {}, ("no ring of cameras defines the vertical: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
     tuning = run.settings.tuning.masks.waterline
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]

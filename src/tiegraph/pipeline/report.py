@@ -9,7 +9,7 @@ from tiegraph.report.html import write_report
 
 
 def report(run: Run) -> Outcome:
-    """One HTML page from receipts and artefacts, and from plan.json where the user put one into the run folder."""
+    """One HTML page from receipts and artefacts, and from plan.json if the user put one into the run folder."""
     planned, notes = None, []
     if run.path(PLAN).is_file():
         try:

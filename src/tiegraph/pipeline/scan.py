@@ -1,4 +1,4 @@
-"""Glue of scan: what a user hands over becomes a scene and a folder of images."""
+"""Glue of scan: the user's inputs become a scene and a folder of images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -57,7 +57,7 @@ def scan(run: Run) -> Outcome:
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
     root, said_of_images, cameras = photographs(run)
     files, passed_over = search_images(root)
-    names = clean_names(files)  # from here on: only their opening needs the names that the file system has
+    names = clean_names(files)  # from here on: only their opening needs the file system's names
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
     known = rig_of_run(given.rig)
@@ -75,7 +75,7 @@ def scan(run: Run) -> Outcome:
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
     carrying(scene)
-    told = check_against(run, scene)  # wrong files are better said now than after hours
+    told = check_against(run, scene)  # wrong files are better reported now than after hours
     if given.trajectory == FOLLOW:
         cameras_of(scene.rigs)  # so is a rig that cannot be followed
     file_of = dict(zip(names, files))
@@ -133,7 +133,7 @@ def _prepare_item(
 
 @dataclass(frozen=True)
 class _Video:
-    """A recording as one look at it found it, and when it began."""
+    """A recording after its first reading, and its start time."""
 
     recording: Recording
     folder: str
@@ -142,11 +142,11 @@ class _Video:
     height: int = 0
     fps: float = 0.0
     offset_s: float = 0.0  # to be added to its stamps to get those of its rig's first
-    camera: FoundCamera | None = None  # as a bag has it
+    camera: FoundCamera | None = None  # from a bag
 
     @property
     def name(self) -> str:
-        """As it may be shown."""
+        """Its name for messages."""
         return self.recording.name
 
 
@@ -161,11 +161,11 @@ class _Job:
 
 
 def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]]:
-    """The folder of images, the user's own or of the pictures taken from the videos and bags in it; notes on where they
-    come from; and cameras by the folder below it that they are of.
+    """The folder of images, the user's own or of the pictures taken from the videos and bags in it; notes on their
+    origin; and cameras by the folder below it whose images they took.
 
-    Raises InputError where videos of a rig do not tell when each began, where fewer than two pictures come of all, and
-    for bags as ``bag_films`` does.
+    Raises InputError if the start times of a rig's videos are undecided, if there are fewer than two pictures in total,
+    and for bags as ``bag_films`` does.
     """
     images, asked = split_topics(run.inputs.images)
     found = [images / v for v in find_videos(images)] if images.is_dir() and not asked else []
@@ -239,7 +239,7 @@ def _at_once(recorded: Sequence[tuple[_Video, Pictures]], least_s: float) -> lis
 
 
 def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]]) -> list[str]:
-    """What to say of recordings one after another that all count from zero."""
+    """A note on several recordings that all count from zero."""
     lost = [videos[g[0]] for g in groups if videos[g[0]].width and not videos[g[0]].clock.known]
     told = [v for v in lost if v.offset_s]
     if len(lost) < 2 or len(told) >= len(lost) - 1:
@@ -247,7 +247,7 @@ def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]])
     names = " and ".join(v.name for v in lost[:2])
     return [
         f"{len(lost)} videos, such as {names}, each count from their own start: positions by time would put them on "
-        f"top of each other; --scan.video-offset {lost[1].folder}=SECONDS says when each began, or --times"
+        f"top of each other; --scan.video-offset {lost[1].folder}=SECONDS gives the start of each, or --times"
     ]
 
 
@@ -295,14 +295,14 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     for group in groups:
         first = out[group[0]]
         for k in group[1:]:
-            how = "the lenses of one recording" if k in lenses else "as --scan.video-offset says"
+            how = "the lenses of one recording" if k in lenses else "by --scan.video-offset"
             if k in stamped and k not in told:
                 out[k], how = replace(out[k], offset_s=stamped[k]), "by the stamps of their messages"
             if k in asked:
                 found = offsets[k]
                 if found.refused:
                     raise InputError(
-                        f"{out[k].name}: the motion of its pictures does not tell when it began after {first.name}, "
+                        f"{out[k].name}: the motion of its pictures does not show when it began after {first.name}, "
                         f"whose rig it is of: {found.refused}. Give --scan.video-offset {out[k].folder}=SECONDS (0 if "
                         "they began together), or --scan.layout sequence if they are passes of one camera"
                     )
@@ -310,7 +310,7 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 sigma = f"{1e3 * found.sigma_s:.1f} ms"
                 how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
             notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
-            if k not in lenses:  # the fixes that mend a clock stand in the file of one lens only
+            if k not in lenses:  # the fixes that correct a clock are in the file of one lens only
                 by_clock = out[k].clock.start_s - first.clock.start_s
                 apart = abs(by_clock - out[k].offset_s) > tuning.pictures.creation_apart_s
                 if first.clock.known and out[k].clock.known and apart:
@@ -363,7 +363,7 @@ def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
 
 
 def _apart(job: _Job, taken: Pictures) -> str:
-    """How far the pictures of another camera lie from the instants of the first's."""
+    """Time offset of another camera's pictures from the instants of the first's."""
     if job.numbers is None or not taken.stamps_s:
         return ""
     wanted = dict(zip(job.numbers, job.stamps_s))

@@ -53,15 +53,15 @@ def shots(run: Run) -> Outcome:
 
 
 def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
-    """The images of one frame with the poses of their sensors in the rig's frame: those that hang, if any do.
+    """The images of one frame with the poses of their sensors in the rig's frame: the dependent ones, if there are any.
 
-    Raises InputError for a sensor without intrinsics or place in the rig.
+    Raises InputError for a sensor without intrinsics or pose in the rig.
     """
     views, own = [], carries(scene)
     for image in np.flatnonzero((scene.frame == frame) & (own.all() | ~own)):
         sensor = scene.sensor_of(int(image))
         if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
-            raise InputError(f"sensor {sensor.name}: its place in the rig is unknown; a shot needs it (rig.toml)")
+            raise InputError(f"sensor {sensor.name}: its pose in the rig is unknown; a shot needs it (rig.toml)")
         if sensor.camera is None or not sensor.camera.has_prior_focal_length:
             raise InputError(f"sensor {sensor.name}: its intrinsics are unknown; a shot needs them (rig.toml)")
         views.append(ViewPlan(scene.names[image], CameraModel.of(sensor.camera), sensor.sensor_from_rig))
@@ -69,7 +69,7 @@ def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
 
 
 def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
-    """Where the cloud of a frame is."""
+    """The file of a frame's cloud."""
     sequence = int(scene.sequence[frame])
     name = shortened(scene.sequences[sequence].replace("/", "_")) if sequence >= 0 else "shot"
     return folder / _FOLDER / f"{name}_{frame:06d}.ply"
@@ -77,7 +77,7 @@ def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
 
 @dataclass(frozen=True)
 class _Shot:
-    """One shot: where its cloud goes, its images, and the depths that are looked for."""
+    """One shot: the file of its cloud, its images, and the depths to search."""
 
     cloud: Path
     views: list[ViewPlan]
@@ -107,16 +107,16 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
 
 
 def depth_path(folder: Path, name: str) -> Path:
-    """Where the depth map of an image of a shot is."""
+    """The file of the depth map of an image of a shot."""
     return folder / _FOLDER / "depth" / f"{name}.npz"
 
 
 def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
     """Write the clouds of the shots whose frames have a pose to ``folder`` as LAZ, and the poses as ``poses.tum`` (time
-    = number of the shot, metres), from which `tiegraph stations` starts; the clouds, and what is to be said.
+    = number of the shot, metres), the start values of `tiegraph stations`; the clouds, and notes.
 
     A model without scale gets that of the shots. Raises InputError without shots, poses or metres, and for a folder
-    that is there and not empty.
+    that exists and is not empty.
     """
     scene = whole(run)
     frames = [f for f in range(scene.frames) if cloud_path(run.folder, scene, f).exists()]
@@ -128,7 +128,7 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
             f"`{command('run', 'IMAGES', '-o', run.folder, '--rig', 'RIG', '--until', 'georef')}` makes them"
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--posed {folder} is there already: give a new folder")
+        raise InputError(f"--posed {folder} exists already: give a new folder")
     model = load_model(run.path("sparse", "world"))
     poses = np.where(carries(scene)[:, None, None], image_poses(model, scene), np.nan)
     unit, said = 1.0, ""
@@ -136,8 +136,8 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
         found = _scale_by_shots(run, scene, model, poses)
         if found is None:
             raise InputError(
-                f"--posed {folder}: the model of {run.folder} has no scale, and shots are in metres: fix it by the "
-                "rig, positions, control points or scale bars; its own points do not fall onto the shots either"
+                f"--posed {folder}: the model of {run.folder} has no scale, but shots are in metres: determine it by "
+                "the rig, positions, control points or scale bars; its own points do not lie on the shots either"
             )
         unit = found.metres_per_unit
         said = (
@@ -169,7 +169,7 @@ def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -
 
 
 def _scale_by_shots(run: Run, scene: Scene, model: Any, poses: np.ndarray) -> ShotScale | None:
-    """Metres in a unit of a model by the depth maps of its shots; None where it has no points on them."""
+    """Metres in a unit of a model by the depth maps of its shots; None if it has no points on them."""
     xyz, image, point = tracks(model, scene)
     mounted = rig_from_sensor(scene)
     seen = []

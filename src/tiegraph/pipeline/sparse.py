@@ -30,7 +30,7 @@ def sparse(run: Run) -> Outcome:
         run.reporter.total(total, registered)
 
     scene, apart = checked(run), ()
-    if run.settings.network.sections == "split":  # pairs that run between sections, which are mapped apart
+    if run.settings.network.sections == "split":  # pairs between sections, which are mapped separately
         pairs, of_image = pairs_of(run, "filter.npz"), scene.section[scene.frame]
         across = of_image[pairs.i] != of_image[pairs.j]
         apart = tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
@@ -78,7 +78,7 @@ def sparse(run: Run) -> Outcome:
 
 
 def _against_start(run: Run) -> Outcome:
-    """What the largest model says of the one that the user started from."""
+    """Comparison of the largest model with the start model."""
     if run.inputs.start is None:
         return Outcome({})
     scene, start = load_scene(run.path("scene.json")), read_start(run.inputs.start)

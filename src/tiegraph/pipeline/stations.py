@@ -66,7 +66,7 @@ def stations(
             path = {s.name: p for s, p in zip(ready, joined.poses) if np.isfinite(p).all()}
             known = {file.stem: file for file in files}
             voxel = voxel_m or spacing_m
-            # Sigma of points that state none
+            # Sigma of points without one
             noise = [p.residual_m / np.sqrt(2) for p in joined.believed] or [s.levels[-1].rough for s in ready]
             merged = _merged(known, path, voxel, float(np.median(noise)), scratch, tunings.cloud)
             notes = write_cloud((replace(c, origin=origin) for c in merged.clouds()), folder / CLOUD, voxel)
@@ -91,7 +91,7 @@ def stations(
 
 
 def cloud_files(sources: Sequence[Path]) -> list[Path]:
-    """Files of clouds: those named, and of a folder (of a run: its ``shots``) all there are, by name.
+    """Files of clouds: those named, and of a folder (of a run: its ``shots``) all in it, by name.
 
     Raises InputError if there are fewer than two, or two of one name.
     """
@@ -112,20 +112,20 @@ def cloud_files(sources: Sequence[Path]) -> list[Path]:
     if again is not None:
         raise InputError(f"{again}: two clouds have this name: give each its own")
     if len(files) < 2:
-        raise InputError(f"{files[0]}: the only cloud; there is nothing to lay it on: give two at least")
+        raise InputError(f"{files[0]}: the only cloud; there is nothing to register it to: give two at least")
     return files
 
 
 def pose_numbers(names: Sequence[str]) -> list[int]:
-    """What stands for the time of each cloud in a TUM file: the last number in its name; its place in the order,
-    from 0, where these numbers do not tell the clouds apart."""
+    """The time of each cloud in a TUM file: the last number in its name; its place in the order,
+    from 0, if these numbers are not unique."""
     found = [re.findall(r"\d+", name) for name in names]
     numbers = {int(digits[-1]): None for digits in found if digits}
     return list(numbers) if len(numbers) == len(names) else list(range(len(names)))
 
 
 def _read(files: Sequence[Path]) -> tuple[list[Shot], Origin | None, float]:
-    """The shots, the world that some are in (None = none is), and the spacing of the usual point, two digits."""
+    """The shots, their world if some have one (None = none has), and the spacing of the usual point, two digits."""
     shots, spacings, origin, first = [], [], None, files[0]
     for file in files:
         cloud = read_cloud(file)
@@ -133,7 +133,7 @@ def _read(files: Sequence[Path]) -> tuple[list[Shot], Origin | None, float]:
             raise InputError(f"{file}: it has no points: leave it out, or make it again")
         lost = int(np.count_nonzero(~np.isfinite(cloud.xyz_m).all(axis=1)))
         if lost:
-            raise InputError(f"{file}: {lost} points are at no place (NaN or infinite): take them out")
+            raise InputError(f"{file}: {lost} points have no coordinates (NaN or infinite): remove them")
         known = None
         if cloud.origin is not None:
             if origin is None:
@@ -165,10 +165,10 @@ def _called(origin: Origin) -> str:
 
 
 def _with_poses(shots: list[Shot], path: Path) -> list[Shot]:
-    """Shots with the prior poses of a file, by their numbers. Raises InputError for rows that belong to none."""
+    """Shots with the prior poses of a file, by their numbers. Raises InputError for rows without a shot."""
     posed = next((s for s in shots if s.known is not None), None)
     if posed is not None:
-        raise InputError(f"--poses {path}: {posed.name} is in a world already (it names a CRS): leave --poses away")
+        raise InputError(f"--poses {path}: {posed.name} is in a world already (it names a CRS): omit --poses")
     found = read_poses(path)
     numbers = {n: k for k, n in enumerate(pose_numbers([s.name for s in shots]))}
     times = found.time_s if np.isfinite(found.time_s).all() else np.arange(len(found.poses))
@@ -210,13 +210,13 @@ def _points(
     return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None), voxel), 0)]
 
 
-# --- what is told ----------------------------------------------------------------------------------------------------
+# --- summary ---------------------------------------------------------------------------------------------------------
 
 
 def _told_of(
     files: Sequence[Path], ready: Sequence[Station], joined: Joined, unfit: dict[str, str], bands: Sequence[Band]
 ) -> dict[str, Any]:
-    """What stations.json says of clouds, pairs and precision."""
+    """The content of stations.json on clouds, pairs and precision."""
     number = {s.name: k for k, s in enumerate(ready)}
     loops = {(p.first, p.second): row for p, row in zip(joined.believed, joined.loop_m)}
 

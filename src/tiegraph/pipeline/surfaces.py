@@ -1,4 +1,4 @@
-"""What the makers of rasters over a reference surface share: where files are, the steps of the work, tiles."""
+"""Common code of the makers of rasters over a reference surface: files, steps of the work, tiles."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ FOLDER = "products"
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One of the steps in which the rasters of a surface are made: its items, where each leaves what it made, what
-    makes one, and what is made of all of them, of which the last file is ``result``."""
+    """One of the steps in which the rasters of a surface are made: its items, the file of each item's result, the
+    function that makes one, and the one that combines all of them, whose last file is ``result``."""
 
     items: list[Any]
     artefact: Callable[[Any], Path]
@@ -48,11 +48,11 @@ class OnSurface:
         return self.surface.windows(self.tile)
 
     def path(self, name: str) -> Path:
-        """Where a file of the surface is."""
+        """A file of the surface."""
         return self.folder / FOLDER / self.surface.name / name
 
     def scratch(self, kind: str, item: Window | int) -> Path:
-        """Where a finished item is until all are."""
+        """The file of a finished item until all are."""
         name = f"{item.row}_{item.column}" if isinstance(item, Window) else f"{item}"
         return self.folder / FOLDER / ".tiles" / self.surface.name / f"{kind}_{name}.npz"
 

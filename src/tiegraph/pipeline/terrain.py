@@ -42,7 +42,7 @@ _STYLE = style(
 
 
 def wanted(surface: Surface, place: Place) -> bool:
-    """Whether a surface has a terrain: a map whose metres tell a house from a hill."""
+    """Whether a surface has a terrain: a map with a scale at which a house differs from a hill."""
     return surface.name == MAP and place.unit == "m"
 
 
@@ -141,13 +141,13 @@ class TerrainWork(OnSurface):
         return lines
 
     def said(self) -> str:
-        """What was drawn, in words."""
+        """The result in words."""
         path = self.scratch("contours", 0)
         if not path.exists():
-            return "contour lines: as they were"
+            return "contour lines: unchanged"
         found = load_npz(path)
         if not found["lines"]:
-            return "contour lines: none, for no height of the terrain is known or all are one"
+            return "contour lines: none, because no height of the terrain is known or all are equal"
         counted = f"{int(found['lines'])} lines at {int(found['levels'])} heights, {float(found['every']):g} m apart"
         return f"contour lines: {counted} ({found['written']})"
 

@@ -1,8 +1,7 @@
-"""Glue of watch: one step after another, files that have arrived become previews, ties and poses; the page shows what
-is known.
+"""Glue of watch: step by step, files that have arrived become previews, ties and poses; the page shows the state.
 
-``watchmodel`` makes previews and matches them as the stages preview and candidates do, and the coarse model in a child,
-one at a time. What is kept in the run folder are previews, ties and the page as it was last: a second run goes on from
+``watchmodel`` makes previews and matches them as the stages preview and candidates do, and the coarse model in a child
+process, one at a time. The run folder keeps previews, ties and the last page: a second run continues from
 there.
 """
 
@@ -52,16 +51,16 @@ from tiegraph.watch.tuning import Tuning
 from tiegraph.watch.view import page
 
 KEPT, PAGE = "watch.npz", "watch.html"
-_BATCH = 8  # images of a step: a folder that is full already shows its first poses soon
+_BATCH = 8  # images of a step: a full folder already shows its first poses soon
 
 log = logging.getLogger(__name__)
 
 
 def watch(run: Run, port: int, tuning: Tuning) -> None:
-    """Watch ``run.inputs.images`` until it is interrupted, which is how it ends: what is known is kept then.
+    """Watch ``run.inputs.images`` until interrupted, which is the normal end: the state is kept then.
 
-    Raises InputError, before anything is written, for inputs that are wrong, a run folder that is not ours, and a port
-    that cannot be had.
+    Raises InputError, before anything is written, for wrong inputs, a run folder that is not ours, and a port
+    that is not available.
     """
     check_run(STAGES, run)
     check_given(STAGES, run)
@@ -84,11 +83,11 @@ def watch(run: Run, port: int, tuning: Tuning) -> None:
     finally:
         server.close()
     said = f"{len(watched.scene or ())} images, {len(watched.poses)} with a pose; {run.folder / PAGE} shows them"
-    run.reporter.say(f"stopped: {said}; the same command goes on")
+    run.reporter.say(f"stopped: {said}; the same command continues")
 
 
 class Watched:
-    """What is known of a folder; ``step`` looks again. Names are those of the scene, whose order is that of names."""
+    """The state of a folder; ``step`` reads it again. Names are those of the scene, whose order is that of names."""
 
     def __init__(self, run: Run, tuning: Tuning) -> None:
         self.run, self.tuning = run, tuning
@@ -99,12 +98,12 @@ class Watched:
         self.times: deque[float] = deque(maxlen=100)  # images of the median time
         self._trouble = ""
         self._probes: dict[str, Probe] = {}
-        self._file_of: dict[str, str] = {}  # as the file system calls it
-        self._digest: dict[str, str] = {}  # of the file whose preview there is
+        self._file_of: dict[str, str] = {}  # its name in the file system
+        self._digest: dict[str, str] = {}  # of the file whose preview exists
         self._ties: dict[tuple[str, str], np.ndarray] = {}
         self._rigs: tuple[Rig, ...] = ()
         self._rig_text = rig_of_run(run.inputs.rig)
-        self._tried: dict[str, int] = {}  # frame -> matches to images with a pose when it could not be placed
+        self._tried: dict[str, int] = {}  # frame -> matches to images with a pose when its resection failed
         self._models = CoarseModels(run)
         self._unsaved, self._last, self._saved = True, 0.0, 0.0
         self._recall()
@@ -112,7 +111,7 @@ class Watched:
     # --- a step -----------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> bool:
-        """Take in what has arrived and what the model says; whether anything is new."""
+        """Process newly arrived files and the model's result; whether anything is new."""
         before, was_busy = (self.arrivals.trouble, self._trouble), self._models.busy
         names = self.arrivals.look(now)[:_BATCH]
         new = self._taken_in(names, now) if names else []
@@ -140,7 +139,7 @@ class Watched:
         return news or was_busy != self._models.busy
 
     def _taken_in(self, files: list[str], now: float) -> list[str]:
-        """Open files, sort all that are known into the scene, and make the previews; names of the new images."""
+        """Open files, sort all known ones into the scene, and make the previews; names of the new images."""
         root = self.arrivals.root
         for file in files:
             probe = probe_image(root / file, self.run.settings.tuning.scene.images)
@@ -159,7 +158,7 @@ class Watched:
                 if file in files:
                     new.append(name)
                 continue
-            self._digest.pop(name, None)  # what was known of an image that is another now goes
+            self._digest.pop(name, None)  # results of an image that was replaced are removed
             self.poses.pop(name, None)
             self._ties = {pair: matches for pair, matches in self._ties.items() if name not in pair}
             try:
@@ -176,7 +175,7 @@ class Watched:
         return [name for name in new if self.scene is not None and name in self.scene.image_index]
 
     def _sort(self) -> None:
-        """All files that are known as a scene; what does not fit is ``_trouble``, and the scene stays as it was."""
+        """All known files as a scene; if they do not fit, ``_trouble`` is set and the scene stays unchanged."""
         given, settings = self.run.inputs, self.run.settings
         files = sorted(self._probes)
         if sum(not p.reason for p in self._probes.values()) < 2:
@@ -193,7 +192,7 @@ class Watched:
             self._trouble = ""
         except InputError as error:
             if str(error) != self._trouble:
-                self.run.reporter.say(f"waiting, for what is there does not fit: {error}")
+                self.run.reporter.say(f"waiting, because the present files do not fit: {error}")
             self._trouble = str(error)
 
     # --- ties and poses ---------------------------------------------------------------------------------------------
@@ -220,14 +219,14 @@ class Watched:
         return PreviewMatches.make(ends[:, 0], ends[:, 1], [m if a < b else m[:, ::-1] for a, b, m in there])
 
     def _place(self) -> None:
-        """Poses for frames that have none, where ties to images with one have come since it was tried last."""
+        """Poses for frames that have none, if ties to images with one have come since the last try."""
         scene = self.scene
         if scene is None or not self.poses:
             return
         ties, known = self.ties(scene), self._known(scene)
         size_px = self.run.settings.preview.size_px
         how = partial(resect_previews, size_px=size_px, tuning=self.tuning.frames)
-        for _ in range(2):  # a frame may hang on one that comes after it
+        for _ in range(2):  # a frame may depend on one that comes after it
             without = ~known.placed()
             across = without[ties.i] != without[ties.j]
             loose = np.where(without[ties.i], ties.i, ties.j)[across]
@@ -261,7 +260,7 @@ class Watched:
             or any(n not in self._digest for n in scene.names)
         ):
             return
-        if self.arrivals.waiting() > max(_BATCH, len(scene) // 4):  # a folder that was full already: that first
+        if self.arrivals.waiting() > max(_BATCH, len(scene) // 4):  # a folder that was full already: read it first
             return
         new = len(scene) - self._models.images
         idle = now - self._last > tuning.idle_s
@@ -284,10 +283,10 @@ class Watched:
         self.run.reporter.say(said)
         self.run.reporter.event("model", images=len(self.poses), of=len(scene), seconds=round(self._models.seconds, 2))
 
-    # --- what is shown and kept -------------------------------------------------------------------------------------
+    # --- display and storage ------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """What the page shows."""
+        """Content of the page."""
         scene, trouble, making = self.scene, self.arrivals.trouble or self._trouble, self._models.busy
         now = f"watching; making a model of {self._models.images} images" if making else "watching"
         broken = {f: p.reason for f, p in sorted(self._probes.items()) if p.reason}
@@ -321,7 +320,7 @@ class Watched:
         write_atomic(self.run.path(PAGE), page(self.state()))
 
     def _recall(self) -> None:
-        """What an earlier run kept; what cannot be read is made again."""
+        """The stored state of an earlier run; unreadable parts are made again."""
         try:
             data = load_npz(self.run.path(KEPT))
             known = json.loads(str(data.pop("known")))

@@ -1,5 +1,5 @@
-"""Glue of watch: previews, ties and poses of what has arrived, its coarse model, made in a process of its own, and what
-the page shows of them."""
+"""Glue of watch: previews, ties and poses of new images, their coarse model, made in a process of its own, and the
+content of the page."""
 
 import logging
 import threading
@@ -100,8 +100,8 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Modelled:
-    """What came of it: the ties with those of look-alikes; cam_from_world (N, 4, 4), NaN = not in the model, None
-    without a model; the rigs as the model has them; the surface and its weak places."""
+    """The result: the ties with those of look-alikes; cam_from_world (N, 4, 4), NaN = not in the model, None
+    without a model; the rigs by the model; the surface and its weak places."""
 
     ties: PreviewMatches
     poses: np.ndarray | None = None
@@ -113,7 +113,7 @@ class Modelled:
 def make_model(
     folder: Path, settings: Settings, scene: Scene, ties: PreviewMatches, tuning: ModelTuning, send: object
 ) -> Modelled:
-    """Match look-alikes, leave out ties that stand alone as those of walls alike do, map the best, look at the surface.
+    """Match look-alikes, remove isolated ties as between similar walls, map the best, analyse the surface.
 
     Runs in a child process (``run_in_child``).
     """
@@ -137,7 +137,7 @@ def make_model(
 
 
 def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches, tuning: ModelTuning) -> PreviewMatches:
-    """The ties, and the matches of the images that look most alike and were not matched yet."""
+    """The ties, and the matches of the most similar images that were not matched yet."""
     if not tuning.look_alikes:
         return ties
     words = run.settings.tuning.network.retrieval.vocabulary.model_copy(
@@ -153,13 +153,13 @@ def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches, tuning: Mode
 
 
 class CoarseModels:
-    """The coarse models that are made in a child process, one at a time, and the last that was."""
+    """The coarse models made in a child process, one at a time, and the last finished one."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
         self.made: Modelled | None = None
         self.names: tuple[str, ...] = ()  # of the images it was made of
-        self.images, self.ties = 0, 0  # of the last that was begun
+        self.images, self.ties = 0, 0  # of the last one begun
         self.seconds = 0.0
         self.of: frozenset[str] = frozenset()
         self._thread: threading.Thread | None = None
@@ -168,7 +168,7 @@ class CoarseModels:
 
     @property
     def busy(self) -> bool:
-        """Whether one is being made, or was and is not taken yet."""
+        """Whether one is being made, or was made and is not taken yet."""
         return self._thread is not None
 
     def start(self, scene: Scene, ties: PreviewMatches, tuning: ModelTuning) -> None:
@@ -187,7 +187,7 @@ class CoarseModels:
         self.seconds = time.monotonic() - began
 
     def result(self) -> Modelled | None:
-        """What was made since it was asked last."""
+        """The model made since the last call."""
         if self._thread is None or self._thread.is_alive():
             return None
         self._thread = None
@@ -216,7 +216,7 @@ def shown_scene(
 
 
 def shown_surface(models: CoarseModels, plan: np.ndarray, scale: float) -> dict[str, Any]:
-    """The map of the surface of the last model in the plan, and the places to go to again."""
+    """The map of the surface of the last model in the plan, and the places to revisit."""
     out: dict[str, Any] = {"verdicts": VERDICTS, "cells": [], "places": [], "shares": [], "side": 0.0}
     out["of"] = len(models.of)
     made = models.made
@@ -228,7 +228,7 @@ def shown_surface(models: CoarseModels, plan: np.ndarray, scale: float) -> dict[
     out["shares"] = list(surface.shares().values())
     out["side"] = surface.side * scale
     out["median"] = _typical(surface, np.arange(len(surface)), scale)
-    for place in made.places[:20]:  # listed: more than anybody goes to again
+    for place in made.places[:20]:  # listed: more than anybody revisits
         x, y, _ = transforms.apply(plan, place.xyz[None])[0]
         out["places"].append({
             "x": float(x), "y": float(y), "near": models.names[place.image], "verdict": place.verdict,

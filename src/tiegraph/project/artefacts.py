@@ -1,9 +1,10 @@
 """The artefacts of a run folder: which are up to date, which were lost or changed, and which files may be removed.
 
-A stage is up to date if its receipt has the same key, what it was made from is what there is, and all its files are as
-it left them. Interrupted with the same key: finished items stay. Else its files are removed, and nothing but its files:
-what its list does not name was not made by us and is refused; what was changed since is moved to ``set_aside/``. A
-file that is as it was left, or that a stage was writing when it ended, holds nothing of the user's and is removed.
+A stage is up to date if its receipt has the same key, its sources are unchanged, and all its files are as
+it left them. Interrupted with the same key: finished items stay. Otherwise its files are removed, and only these:
+a file that is not on its list was not made by us and is refused; a file that was changed since is moved to
+``set_aside/``. A file unchanged since, or one that a stage was writing when it ended, contains no user data and is
+removed.
 """
 
 import dataclasses
@@ -30,8 +31,8 @@ from tiegraph.text import some
 
 _LET_GO = "files let go"
 OTHER_KEY = "its inputs or settings changed"
-LOST = "lost"  # in a receipt without a key: why nothing came of its stage
-DIED = "died"  # beside it: a process had ended, which may go otherwise the next time
+LOST = "lost"  # in a receipt without a key: why its stage has no result
+DIED = "died"  # beside it: a process had ended, which may not happen the next time
 _SHOWN = 3
 
 
@@ -47,8 +48,8 @@ class Artefacts:
     # --- what is there ------------------------------------------------------------------------------------------------
 
     def look(self, thorough: bool = False) -> bool:
-        """Find the files that were lost or changed since they were made; whether there are any. ``thorough``: also
-        reads those whose size and time are as they were."""
+        """Find files that were lost or changed since they were made; whether there are any. ``thorough``: also
+        reads those with unchanged size and time."""
         self._troubles = {}
         for stage in self._stages:
             for name, what in () if self.is_let_go(stage) else self._differences(stage, thorough):
@@ -57,7 +58,7 @@ class Artefacts:
         return bool(self._troubles)
 
     def damaged_by(self, error: Exception) -> bool:
-        """Whether an error comes from a damaged artefact, which counts as lost or changed from now on."""
+        """Whether an error comes from a damaged artefact, which then counts as lost or changed."""
         if not isinstance(error, UnreadableArtefact):
             return self.look(thorough=True)
         path, folder = error.path.absolute(), self.folder.absolute()
@@ -84,14 +85,14 @@ class Artefacts:
         return next((f"{name} {what}" for name, what in self._troubles.get(stage.name, {}).items()), "")
 
     def lost(self, stage: Stage, key: str) -> str:
-        """Why the images gave nothing for a stage, from what there is now; "" where that may have changed."""
+        """Why the images gave no result for a stage, from the present state; "" if that may have changed."""
         receipt = self.receipts.read(stage.name)
         return "" if receipt.get(DIED) or self._other(stage, key) else str(receipt.get(LOST, ""))
 
     def let_go(self, stage: Stage) -> int:
         """Remove the files of a stage that is up to date, which stays so until another needs them; their bytes.
 
-        Its receipt says so first: a stage whose files are missing by order is never taken for damaged.
+        Its receipt records it first: a stage whose files were removed on purpose never counts as damaged.
         """
         receipt, files = self.receipts.read(stage.name), self.receipts.files(stage.name) or {}
         own = [n for n in files if covered(n, stage.makes) and (self.folder / n).exists()]
@@ -106,22 +107,22 @@ class Artefacts:
         return bool(self.receipts.read(stage.name).get(_LET_GO))
 
     def refuse(self, stage: Stage) -> None:
-        """Raise InputError for files where a stage's artefacts go that it did not make."""
+        """Raise InputError for files that a stage did not make in the place of its artefacts."""
         ledger = self.receipts.files(stage.name)
-        if ledger is None:  # damaged: what is there is put aside
+        if ledger is None:  # damaged: existing files are put aside
             return
         there = (n for n in self._there(stage) if n not in ledger)
         if found := [n for n in there if not covered(n, stage.scratch) and not is_temporary(n)]:
             raise InputError(
-                f"{self.folder}: {some(found, _SHOWN)} lie where stage {stage.name} writes its results, and no receipt "
-                "says that tiegraph made them: move them elsewhere, or give another -o folder"
+                f"{self.folder}: {some(found, _SHOWN)} lie where stage {stage.name} writes its results, but no receipt "
+                "lists them as made by tiegraph: move them elsewhere, or give another -o folder"
             )
 
     # --- a stage's life -----------------------------------------------------------------------------------------------
 
     def recover(self) -> None:
-        """Enter what an interrupted run had made into the lists of its stages. The journal stays until a stage begins:
-        a worker may still be writing what it noted there."""
+        """Enter the files of an interrupted run into the lists of its stages. The journal stays until a stage begins:
+        a worker may still be writing a file that it noted there."""
         claimed: dict[str, set[str]] = {}
         for name in read_journal(self.folder):
             claimed.setdefault(self._maker(name), set()).add(name)
@@ -133,8 +134,8 @@ class Artefacts:
                 self.receipts.write_files(stage.name, there | ledger if done else ledger | there)
 
     def begin(self, stage: Stage, key: str) -> list[str]:
-        """Keep what an interrupted run with the same key has finished, remove what was made from something else; what
-        is to be said of it. No worker may be at work. Raises InputError for files that are not ours."""
+        """Keep the finished items of an interrupted run with the same key, remove files made from other sources;
+        notes. No worker may be at work. Raises InputError for files that are not ours."""
         self.recover()
         said, names, ledger = [], self._there(stage), self.receipts.files(stage.name)
         if self.receipts.damaged(stage.name):
@@ -151,7 +152,7 @@ class Artefacts:
         place = put_aside(self.folder, [n for n in theirs if os.path.lexists(self.folder / n)])
         take_away(self.folder, set(changed) - set(theirs))
         if troubles:
-            said.append(f"{told}: made again" + (f"; what was there is in {place} now" if place else ""))
+            said.append(f"{told}: made again" + (f"; the previous files are in {place} now" if place else ""))
         names = [n for n in names if n not in set(changed)]
         if self._other(stage, key) or (troubles and not stage.item):
             if stage.clear is not None:
@@ -159,12 +160,12 @@ class Artefacts:
             take_away(self.folder, names)
             ledger = {}
         else:
-            # An item is missing if one of its files is, and it has one of a name in each folder of its stage.
+            # An item is missing if one of its files is; it has one of the same name in each folder of its stage.
             tails = {n[len(top) :] for n in troubles for top in stage.makes if covered(n, (top,))} - {""}
             whole = {f"{top}{tail}" for top in stage.makes for tail in tails} & set(ledger)
             take_away(self.folder, [*filter(is_temporary, names), *whole])
             ledger = {n: e for n, e in ledger.items() if n not in whole}
-        # In this order: a finished receipt never stands beside a list that lacks its files.
+        # In this order: a finished receipt never exists beside a list without its files.
         self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
         self.receipts.write_files(stage.name, {n: e for n, e in ledger.items() if n not in troubles})
         self.end_journal()
@@ -187,7 +188,7 @@ class Artefacts:
         return receipt
 
     def end_journal(self) -> None:
-        """Forget what was noted: it stands in the lists, and no worker writes."""
+        """Clear the journal: its names are in the lists, and no worker writes."""
         (self.folder / JOURNAL).unlink(missing_ok=True)
 
     # --- inside -------------------------------------------------------------------------------------------------------
@@ -209,14 +210,14 @@ class Artefacts:
                 yield name, what
 
     def _last(self, name: str, ledger: Ledger) -> list:
-        """A file as it was left last, by its maker's list or that of a stage that has changed it; [] while one does."""
+        """Last known record of a file, by its maker's list or that of a stage that has changed it; [] during that."""
         for stage in (s for s in self._stages if name in s.changes and self._changed(s)):
             done = "key" in self.receipts.read(stage.name)
             ledger = (self.receipts.files(stage.name) or {}) if done else {}
         return ledger.get(name, [])
 
     def _changed(self, stage: Stage) -> bool:
-        """Whether a stage has changed files of others as they are: their makers have not made them anew since."""
+        """Whether a stage has changed the present files of others: their makers have not made them again since."""
         before, now = self.receipts.read(stage.name).get("from", {}), self._made_from(stage)
         return bool(before) and all(before.get(m) == now.get(m) for m in map(self._maker, stage.changes))
 

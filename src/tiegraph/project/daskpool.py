@@ -1,10 +1,10 @@
 """Items on the workers of a Dask cluster, as an ``Executor``.
 
-Each worker is looked at before it is given items (``daskworker``): the same versions, the same folders. It makes one
-item at a time, whatever its number of threads; these go to the libraries. What a worker was making that is lost (a
-chunk of items) is given to another; the run ends only where none is left, or where a chunk has ended several. Workers
-that come later, started again by Dask or by a queue, take part from the next stage on. Workers outlive a run, so they
-stop between two items when the run has gone, and a new run begins when they have.
+Each worker is checked before it gets items (``daskworker``): the same versions, the same folders. It makes one
+item at a time, whatever its number of threads; these go to the libraries. If a worker is lost, its chunk of items is
+given to another; the run ends only if none is left, or if a chunk has ended several workers. Workers that come later,
+restarted by Dask or by a queue, take part from the next stage on. Workers outlive a run, so they
+stop between two items when the run has ended, and a new run begins after that.
 """
 
 import asyncio
@@ -36,16 +36,16 @@ log = logging.getLogger(__name__)
 _GOES_ON = "finished work is kept, run the same command again"
 _CONNECT_S = 8.0
 _WORKERS_S = 8.0  # until the scheduler has a worker
-_FREE_S = 60.0  # for a worker to become free of what it does and to load tiegraph
+_FREE_S = 60.0  # for a worker to finish its present task and to load tiegraph
 _END_S = 30.0  # for the items under way to end after an error
-_LOOK_S = 1.0  # between two looks whether all workers are there
-_ANSWER_S = 60.0  # for the scheduler to say so
-_SHARED_BYTES = 2**18  # what is larger goes to each worker once
+_LOOK_S = 1.0  # between two checks whether all workers are there
+_ANSWER_S = 60.0  # for the scheduler's answer to that
+_SHARED_BYTES = 2**18  # larger data goes to each worker once
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application", "asyncio")
 
 
 def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
-    """(executor, number of workers) of the cluster whose scheduler is at ``address``. Raises as ``open_pool`` says."""
+    """(executor, number of workers) of the cluster whose scheduler is at ``address``. Raises as ``open_pool``."""
     if not address:
         raise SettingsError("pool 'dask:': give the scheduler's address too, such as dask:tcp://127.0.0.1:8786")
     try:
@@ -66,7 +66,7 @@ def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
 
 
 class DaskExecutor(Executor):
-    """Runs calls on the workers that ``begin`` found and those that came since. Made by ``open_dask``."""
+    """Runs calls on the workers that ``begin`` found and those that came later. Made by ``open_dask``."""
 
     def __init__(self, client: Any, address: str, quiet: "Quiet") -> None:
         self._client, self._address, self._quiet = client, address, quiet
@@ -75,7 +75,7 @@ class DaskExecutor(Executor):
         self._workers: list[str] = []
         self._refused: set[str] = set()  # workers that came later and cannot serve
         self._missing: set[str] = set()  # workers that have gone
-        self._below: set[str] = set()  # workers whose processes are below this one: their use is counted already
+        self._below: set[str] = set()  # workers in child processes of this one: their use is counted already
         self._elsewhere = Elsewhere()
         self._doing = "items"
         self._waiting: set[Future] = set()
@@ -83,7 +83,7 @@ class DaskExecutor(Executor):
         self._lost = ""  # why the run cannot go on
 
     def begin(self, place: Place | None) -> int:
-        """Look at every worker and prepare it; their number. Raises InputError naming the worker that cannot serve."""
+        """Check and prepare every worker; their number. Raises InputError naming a worker that cannot serve."""
         self._place = place
         self._elsewhere = place.elsewhere if place is not None and place.elsewhere is not None else Elsewhere()
         try:
@@ -101,10 +101,10 @@ class DaskExecutor(Executor):
         return len(self._workers)
 
     def share(self, data: Any) -> Any:
-        """Stands for ``data`` as an argument of ``submit``; what is large goes to each worker once.
+        """Stands for ``data`` as an argument of ``submit``; large data goes to each worker once.
 
-        ``data`` = (function, args) of items: the function ends its chunk when the run has gone, and its name is what
-        Dask's dashboard shows.
+        ``data`` = (function, args) of items: the function ends its chunk when the run has ended, and its name is shown
+        on Dask's dashboard.
         """
         function, args = data
         named = function
@@ -185,22 +185,22 @@ class DaskExecutor(Executor):
         return wrong
 
     def _look_for_more(self) -> None:
-        """Prepare workers that have come since; one that cannot serve is named and left alone."""
+        """Prepare workers that came later; one that cannot serve is named and not used."""
         try:
             known = {*self._workers, *self._refused}
             new = {w: n for w, n in sorted(self._client.nthreads().items()) if w not in known}
             wrong = self._take_on(new) if new else {}
         except Exception as error:
-            log.warning("%s", self._gone(error))  # if the cluster has gone, what is asked of it next will say so
+            log.warning("%s", self._gone(error))  # if the cluster has gone, the next request will report it
             return
         self._refused |= set(wrong)
         for why in wrong.values():
             log.warning("%s", why)
 
     def _other_versions(self, workers: list[str]) -> dict[str, str]:
-        """Those of the workers, and the scheduler, that have other software, and what is wrong."""
+        """Those of the workers, and the scheduler, that have other software, and the difference."""
 
-        # Not as a task: a worker or scheduler that cannot import what it is sent as one breaks.
+        # Not as a task: a worker or scheduler that cannot import a task it receives breaks.
         async def ask() -> dict[str, Any]:
             out = dict(await self._client.run(software, workers=workers, on_error="return"))
             try:
@@ -217,7 +217,7 @@ class DaskExecutor(Executor):
         return {n: f"pool dask:{self._address}: the {who[n]} {why}" for n, why in wrong.items() if why is not None}
 
     def _on_each(self, calls: dict[str, Callable[..., Any]], seconds: float) -> dict[str, Any]:
-        """What each worker's call returns, or the error it raised, before what else waits there."""
+        """The result of each worker's call, or the error it raised, before other tasks waiting there."""
         tasks = {
             w: self._client.submit(daskworker.unpacked, pickle.dumps(call), workers=[w], pure=False, priority=100)
             for w, call in calls.items()
@@ -231,7 +231,7 @@ class DaskExecutor(Executor):
         return out
 
     async def _follow(self, task: Any, future: Future) -> None:
-        """Hand the result of a task on, or the error of the item."""
+        """Forward the result of a task, or the error of the item."""
         with suppress(InvalidStateError):  # nobody waits any more, or the run cannot go on
             try:
                 result, worker, used = await task
@@ -247,7 +247,7 @@ class DaskExecutor(Executor):
     def _ended(self, task: Any, future: Future) -> None:
         self._waiting.discard(future)
         self._unfinished |= future.cancelled() or future.exception() is not None
-        task.release()  # the scheduler drops what nobody waits for
+        task.release()  # the scheduler drops unused results
 
     async def _watch(self) -> None:
         while not (self._over or self._lost):
@@ -288,8 +288,8 @@ class DaskExecutor(Executor):
 def connect(address: str) -> Any:
     """The client of a scheduler. Raises InputError if none answers within ``_CONNECT_S``.
 
-    A client that is of no use is closed where it was made: left to the garbage collector it is closed by whatever
-    thread that runs in, and Dask waits for itself without end if this is the one that starts another client's loop
+    A client that failed is closed where it was made: otherwise the garbage collector closes it in
+    any thread, and Dask waits for itself forever if this thread starts another client's loop
     (``LoopRunner`` of distributed holds one lock for all).
     """
     from distributed import Client
@@ -302,7 +302,7 @@ def connect(address: str) -> Any:
         result: Any = client
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of versions: those that matter are compared in ``begin``
+                warnings.simplefilter("ignore")  # of versions: the relevant ones are compared in ``begin``
                 client.__init__(address, timeout=_CONNECT_S, set_as_default=False)
         except Exception as error:
             result = error
@@ -313,7 +313,7 @@ def connect(address: str) -> Any:
             with suppress(Exception):
                 client.close(timeout=5)
 
-    # Dask waits without end for something that takes the connection and says nothing.
+    # Dask waits forever for a server that accepts the connection and never answers.
     thread = threading.Thread(target=connect, daemon=True, name="dask-connect")
     thread.start()
     thread.join(_CONNECT_S + 1)
@@ -344,11 +344,11 @@ def other_versions(versions: Any) -> str | None:
 
 
 def unfit(seen: Any) -> str | None:
-    """Why a worker cannot serve, None if it can. ``seen``: what ``prepare`` said or the error it answered with."""
+    """Why a worker cannot serve, None if it can. ``seen``: the answer of ``prepare`` or the error."""
     if isinstance(seen, (TimeoutError, asyncio.TimeoutError)):
         return f"did not begin within {_FREE_S:.0f} s: it is busy with something else or hangs; wait, or start it again"
     if not isinstance(seen, tuple):
-        return f"could not begin ({type(seen).__name__}: {seen}): look at what it says, and start it again"
+        return f"could not begin ({type(seen).__name__}: {seen}): see its output, and start it again"
     if seen[2]:
         return f"{seen[2]}: workers need the run folder and the images under the same paths (a shared file system)"
     return None
@@ -366,7 +366,7 @@ class Quiet(logging.Handler):
             logger.handlers, logger.propagate = list(handlers), False
 
     def end(self) -> None:
-        """Put the handlers back."""
+        """Restore the handlers."""
         for logger, handlers, propagate in self._before:
             logger.handlers, logger.propagate = handlers, propagate
         self._before = []

@@ -1,4 +1,4 @@
-"""A worker of a Dask cluster: it is prepared for a run, makes items one at a time, and stops when the run has gone."""
+"""A worker of a Dask cluster: it is prepared for a run, makes items one at a time, and stops when the run has ended."""
 
 import os
 import pickle
@@ -18,16 +18,16 @@ _runs: set[str] = set()  # that this process was prepared for
 
 
 class _Unwanted(Exception):
-    """The run has gone; nobody reads this."""
+    """The run has ended; nobody reads this."""
 
 
 def unpacked(packed: bytes) -> Any:
-    """Call what was pickled: the scheduler, which looks into its tasks, sees bytes."""
+    """Call a pickled function: the scheduler, which inspects its tasks, sees bytes."""
     return pickle.loads(packed)()
 
 
 def prepare(run: str, threads: int, probe: tuple[str, list[str]] | None) -> tuple[str, int, str]:
-    """Make this process fit for a run, once what it does for another has ended; its host and pid, and why it cannot use
+    """Prepare this process for a run, once its task for another has ended; its host and pid, and why it cannot use
     the folders. ``probe``: the folder to write into, the paths to read."""
     with _turn:
         limit_threads(threads)
@@ -54,10 +54,10 @@ def idle() -> None:
 
 
 def on_worker(packed: bytes, *handles: bytes) -> tuple[Any, str, dict[str, float]]:
-    """A call's result, the worker's address and what it used.
+    """A call's result, the worker's address and its resource use.
 
-    ``packed``: run, where it was started, function, arguments, and which of these come as ``handles``, pickled. Raises
-    what the function raises.
+    ``packed``: run, its working folder, function, arguments, and which of these come as ``handles``, pickled. Raises
+    as the function.
     """
     from distributed import get_worker
 
@@ -68,7 +68,7 @@ def on_worker(packed: bytes, *handles: bytes) -> tuple[Any, str, dict[str, float
         for k, data in zip(shared, handles):
             args[k] = pickle.loads(data)
         worker = get_worker()
-        if run not in _runs:  # started again under its address
+        if run not in _runs:  # restarted under its address
             limit_threads(worker.state.nthreads)
             _runs.add(run)
         before, meter = os.getcwd(), Meter()
@@ -83,7 +83,7 @@ def on_worker(packed: bytes, *handles: bytes) -> tuple[Any, str, dict[str, float
 
 
 def while_wanted(function: Callable[..., Any], item: Any, *args: Any) -> Any:
-    """``function(item, *args)``, unless the run has gone."""
+    """``function(item, *args)``, unless the run has ended."""
     if not _wanted():
         raise _Unwanted
     return function(item, *args)

@@ -1,6 +1,6 @@
-"""The run folder as a whole: made by us and marked so, worked in by one run at a time, and no place for inputs.
+"""The run folder as a whole: made and marked by us, used by one run at a time, and separate from the inputs.
 
-What native libraries print while a run goes on belongs to its log: the terminal is the user's.
+Output of native libraries during a run belongs to its log: the terminal is the user's.
 """
 
 import itertools
@@ -25,7 +25,7 @@ log = logging.getLogger("tiegraph")
 
 SETTINGS = "tiegraph.toml"
 LOCK, LOG = ".lock", "log.txt"
-_FORMAT = 3  # of the run folder: names of its files, and of what stands in them
+_FORMAT = 3  # of the run folder: names of its files, and of their contents
 _HARMLESS = (SETTINGS, LOCK, ".ds_store", "thumbs.db", "desktop.ini")
 
 
@@ -43,7 +43,7 @@ def names_run(text: str) -> bool:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError for a run folder that would not be ours alone: it must be new, empty, or made by a run."""
+    """Raise InputError for a run folder that is not ours alone: it must be new, empty, or made by a run."""
     if not os.path.lexists(folder):
         return
     if not folder.is_dir():
@@ -61,13 +61,13 @@ def check_folder(folder: Path) -> None:
     if (folder / "receipts" / "scan.json").is_file():
         raise _other_version(folder, "an earlier")
     raise InputError(
-        f"-o {folder} holds files that tiegraph did not make ({some(there, 3)}): give a new or empty folder for the "
+        f"-o {folder} contains files that tiegraph did not make ({some(there, 3)}): give a new or empty folder for the "
         f"results, such as {folder / 'tiegraph_out'}"
     )
 
 
 def check_format(folder: Path) -> None:
-    """Raise InputError for the run folder of a version that names its files, or what stands in them, otherwise."""
+    """Raise InputError for the run folder of a version with other names of files or contents."""
     made = _mark(folder)["format"]
     if made != _FORMAT:
         raise _other_version(folder, "a later" if isinstance(made, int) and made > _FORMAT else "an earlier")
@@ -81,8 +81,8 @@ def _other_version(folder: Path, which: str) -> InputError:
 
 
 def check_inputs(folder: Path, inputs: Mapping[str, Path], artefacts: Iterable[str]) -> None:
-    """Raise InputError, naming both, for an input that lies where an artefact goes, or a folder of inputs that the run
-    folder lies in. ``inputs``: what the user calls it -> where it is."""
+    """Raise InputError, naming both, for an input in the place of an artefact, or a folder of inputs that contains the
+    run folder. ``inputs``: the user's name of it -> where it is."""
     places = (*artefacts, "receipts", SETTINGS, LOCK, LOG)
     for what, path in inputs.items():
         for out, given in ((folder.absolute(), path.absolute()), (real_path(folder), real_path(path))):
@@ -93,14 +93,14 @@ def check_inputs(folder: Path, inputs: Mapping[str, Path], artefacts: Iterable[s
             inside = given.relative_to(out).as_posix() if out in given.parents else ""
             if inside and covered(inside, places):
                 raise InputError(
-                    f"{what} {path} lies where the results {folder / inside.split('/')[0]} go: move it, or give "
+                    f"{what} {path} lies in the place of the results {folder / inside.split('/')[0]}: move it, or give "
                     "another -o folder"
                 )
 
 
 def write_settings(folder: Path, text: str) -> Callable[[], None]:
-    """Write the run folder's tiegraph.toml; what takes that back. One that is not as we wrote it last stays, under the
-    name ``tiegraph.before-<n>.toml``."""
+    """Write the run folder's tiegraph.toml; a function that undoes it. A file that differs from the one we wrote last
+    is kept as ``tiegraph.before-<n>.toml``."""
     path, mark = folder / SETTINGS, _mark(folder)
     before = path.read_bytes() if path.exists() else None
     if before is not None and digest(before.hex()) != mark.get("settings"):
@@ -129,10 +129,10 @@ def _mark(folder: Path) -> dict:
 
 @contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """The folder is there, marked as ours, locked against other runs, without what killed processes were writing, and
-    log records of tiegraph go to its log.txt, as does what native libraries print.
+    """The folder exists, marked as ours, locked against other runs, without temporary files of killed processes, and
+    log records of tiegraph and output of native libraries go to its log.txt.
 
-    Raises InputError where that cannot be.
+    Raises InputError if that is impossible.
     """
     handle = _locked(folder)
     try:
@@ -184,7 +184,7 @@ def _logged(path: Path) -> Iterator[None]:
         log.setLevel(level)
         try:
             stream.close()
-        except OSError:  # the disk is full: the records that are missing were lost before
+        except OSError:  # the disk is full: the missing records were lost before
             pass
 
 
@@ -206,8 +206,8 @@ _STDERR = 2
 
 @contextmanager
 def libraries_to(descriptor: int) -> Iterator[None]:
-    """What libtiff, OpenCV or COLMAP write to standard error goes to an open file; Python's own ``sys.stderr`` goes on
-    to where it went. Processes that begin meanwhile (the workers) inherit it."""
+    """Output of libtiff, OpenCV or COLMAP to standard error goes to an open file; Python's own ``sys.stderr`` keeps its
+    target. Processes that begin meanwhile (the workers) inherit it."""
     try:
         saved = os.dup(_STDERR)
     except OSError:  # there is no standard error
@@ -233,7 +233,7 @@ def libraries_to(descriptor: int) -> Iterator[None]:
 
 
 def _is_on(stream: TextIO | None) -> bool:
-    """Whether a stream writes to standard error itself, and not to what stands in for it (a notebook, a test)."""
+    """Whether a stream writes to standard error itself, and not to a substitute (a notebook, a test)."""
     try:
         if stream is None or stream.fileno() != _STDERR:
             return False

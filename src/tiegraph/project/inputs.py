@@ -1,10 +1,10 @@
-"""What a user hands to a run, and by what a change of it is noticed.
+"""The inputs of a run, and how a change of them is detected.
 
 A file counts by its size and time until a run has read it, then by its content: a copy of it, wherever it lies, or the
-same disk mounted anew, has other times and is the same. A file or folder that is gone counts as it was when a run read
-it: what is finished can be reported without the images.
+same disk mounted again, has other times but is the same. A missing file or folder counts as it was when a run read
+it: finished work can be reported without the images.
 
-What a user names must be there before anything runs: one check for every option and setting that is a path.
+Inputs must exist before anything runs: one check for every option and setting that is a path.
 """
 
 import json
@@ -43,7 +43,7 @@ class Stamps:
 
     @property
     def gone(self) -> bool:
-        """Whether something of what was asked for is gone, and all that is not there was there once."""
+        """Whether an input is missing, and all missing ones existed once."""
         lacking = [name for name in self._asked if not _there(name)]
         return all(n in self._given for n in lacking) and any(self._given[n] is not None for n in lacking)
 
@@ -52,25 +52,25 @@ class Stamps:
         return self.of(path, lambda: self.now(path))
 
     def of(self, given: Path | str, stamp: Callable[[], Any]) -> Any:
-        """What ``stamp`` makes of something that is given; if that is gone, what it made of it when it was there."""
+        """The ``stamp`` of an input; if it is missing, that of when it existed."""
         found = stamp() if _there(given) else self._given.get(str(given))
         self._asked[str(given)] = found
         return found
 
     def now(self, path: Path) -> Any:
-        """The same of what is there now; None for nothing."""
+        """The same of the present state; None for nothing."""
         if path.is_dir():
             files = sorted(p for p in path.rglob("*") if p.is_file())
             return [[p.relative_to(path).as_posix(), *self._file(p)] for p in files]
         return self._file(path) if path.exists() else None
 
     def record(self) -> None:
-        """Read what was stamped and has not been read as it is, and keep what that says."""
+        """Read stamped files that were not yet read in this state, and keep their digests."""
         new = [name for name, entry in self._seen.items() if not entry[3] and _is(Path(name), entry)]
         for name, found in zip(new, digests([Path(n) for n in new])):
             if _is(Path(name), self._seen[name]):  # as it was when it was stamped
                 self._seen[name][3] = found
-        before = {n: e for n, e in self._files.items() if n not in self._seen}  # what is gone may come back
+        before = {n: e for n, e in self._files.items() if n not in self._seen}  # missing files may come back
         kept = before | {n: e for n, e in self._seen.items() if e[3]}
         if (kept, self._asked) != (self._files, self._given):
             write_atomic(self._path, json.dumps({"files": kept, "given": self._asked}))
@@ -93,7 +93,7 @@ class Stamps:
 
     @cached_property
     def _elsewhere(self) -> dict[tuple[str, int], list[_Entry]]:
-        """What earlier runs have read, by name and size: a survey that was moved or copied is the same."""
+        """Files read by earlier runs, by name and size: a survey that was moved or copied is the same."""
         out: dict[tuple[str, int], list[_Entry]] = {}
         for name, entry in self._files.items():
             out.setdefault((Path(name).name, entry[0]), []).append(entry)
@@ -116,7 +116,7 @@ def _is(path: Path, entry: _Entry) -> bool:
 
 
 def _read(path: Path) -> tuple[dict[str, _Entry], dict[str, Any]]:
-    """Nothing where there is none, or none that can be read: then times count again."""
+    """Nothing if there is none, or none that can be read: then times count again."""
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
         return dict(told["files"]), dict(told["given"])
@@ -125,26 +125,26 @@ def _read(path: Path) -> tuple[dict[str, _Entry], dict[str, Any]]:
 
 
 FOLLOW = Path("auto")
-"""A trajectory that is made by odometry from the survey's own images."""
+"""A trajectory by odometry from the survey's own images."""
 
-_IMAGES = "the image folder"  # what the user calls it in messages; the other inputs are options
+_IMAGES = "the image folder"  # its name in messages; the other inputs are options
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a user hands to a run."""
+    """The inputs of a run."""
 
     images: Path
     rig: str | None = None
     gnss: Path | None = None
-    trajectory: Path | None = None  # FOLLOW: made by odometry
+    trajectory: Path | None = None  # FOLLOW: by odometry
     times: Path | None = None
     camera: str | None = None  # a calibration in words, or its file
-    start: Path | None = None  # a model to go on from
+    start: Path | None = None  # a start model
 
     def parts(self, stamps: Stamps) -> dict[str, Any]:
-        """What counts of each input, by what the user calls it: of files the names below what is given, sizes and
-        times; None for what is not given."""
+        """The stamp of each input, by the user's name for it: for files the names below the given path, sizes and
+        times; None for inputs not given."""
         (images, topics), rig, camera, start = split_topics(self.images), self.rig or "", self.camera or "", self.start
         files: dict[str, Any] = {n: None for n in self._files()}
         for name, path in self._files().items():
@@ -163,11 +163,11 @@ class Inputs:
             "--camera": (stamps.of(camera, words) or camera) if camera else None,
             **files,
             **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
-            SOURCE_PLACE: str(source_of(self.images).absolute()),  # links of the run folder lead there
+            SOURCE_PLACE: str(source_of(self.images).absolute()),  # links of the run folder point there
         }
 
     def given(self) -> dict[str, Path]:
-        """What the user calls each input -> where it is."""
+        """The user's name of each input -> where it is."""
         rig = Path(self.rig) if self.rig and Path(self.rig).exists() else None
         camera = Path(self.camera) if self.camera and names_file(self.camera) else None
         files = {"--rig": rig, "--camera": camera, **self._files()}
@@ -178,28 +178,28 @@ class Inputs:
         """Raise InputError for an input that is not there."""
         images = source_of(self.images)
         if not images.exists():
-            raise InputError(f"{images}: no such folder; give the folder that holds the survey's images")
+            raise InputError(f"{images}: no such folder; give the folder with the survey's images")
         if not images.is_dir() and not is_bag(images):
-            raise InputError(f"{images} is a file; give the folder that holds the survey's images")
+            raise InputError(f"{images} is a file; give the folder with the survey's images")
         for option, path in self._files().items():
             if path is not None and not source_of(path).exists():
                 raise InputError(f"{option} {path}: no such file or folder")
         if self.start is not None and self.trajectory is not None:
             raise InputError(
-                f"--start {self.start} and --trajectory {self.trajectory}: both give poses: leave one out (if it is "
+                f"--start {self.start} and --trajectory {self.trajectory}: both give poses: omit one (if it is "
                 "stored, by --unset start or --unset trajectory)"
             )
 
     def _files(self) -> dict[str, Path | None]:
         trajectory = None if self.trajectory == FOLLOW else self.trajectory
         files = {"--gnss": self.gnss, "--trajectory": trajectory, "--times": self.times, "--start": self.start}
-        with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
+        with suppress(InputError, OSError):  # of a project folder only the model is read; reading reports a missing one
             files["--start"] = None if self.start is None else find_start(self.start)[1]
         return files
 
 
 def _rig_stamp(rig: Path, stamps: Stamps) -> Any:
-    """Of a rig file and the files it names, or of the receipts of the stages of another run that its rig comes from."""
+    """Stamps of a rig file and the files it names, or of the receipts of another run that its rig comes from."""
     if names_run(str(rig)):
         return [stamps.now(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
     try:
@@ -209,14 +209,14 @@ def _rig_stamp(rig: Path, stamps: Stamps) -> Any:
     return [stamps.now(rig), *(stamps.now(rig.parent / n) for n in named)] if named else stamps.now(rig)
 
 
-# --- what a user names must be there before anything runs ------------------------------------------------------------
+# --- the user's paths must exist before anything runs ----------------------------------------------------------------
 
 
-_SHORT = {"--georef.gcp": "--gcp", "--georef.marks": "--marks"}  # what they are called on the command line too
+_SHORT = {"--georef.gcp": "--gcp", "--georef.marks": "--marks"}  # their short names on the command line
 
 
 def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
-    """(option, path, kind) of every setting that names something of the user's, where one is given."""
+    """(option, path, kind) of every setting that names a file or folder of the user, if given."""
     out = []
     for section, fields in sections():
         for name, field in fields.items():
@@ -228,7 +228,7 @@ def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
 
 
 def check_files(settings: Settings) -> None:
-    """Raise InputError for the first setting whose file or folder is not there, of another kind or not readable."""
+    """Raise InputError for the first setting whose file or folder is missing, of another kind or not readable."""
     for option, path, kind in user_files(settings):
         check_path(_SHORT.get(option, option), path, kind)
 
@@ -240,7 +240,7 @@ def check_path(option: str, path: Path, kind: str) -> None:
     except (OSError, ValueError) as error:  # a name too long, a zero byte
         raise InputError(f"{option} {shortened(str(path))}: not a path ({error})") from None
     if not there:
-        raise InputError(f"{option} {path}: no such {kind}; mend the path, or leave the option away")
+        raise InputError(f"{option} {path}: no such {kind}; correct the path, or omit the option")
     if not (folder and "folder" in kind) and not (file and "file" in kind):
         what = "a folder" if folder else "a file" if file else _what(path)
         raise InputError(f"{option} {path} is {what}; give a {kind}")

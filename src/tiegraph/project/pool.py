@@ -1,4 +1,4 @@
-"""Where work runs. The seam is the standard library's ``concurrent.futures.Executor``: engines never see it."""
+"""Where work runs. The interface is the standard library's ``concurrent.futures.Executor``: engines never see it."""
 
 import os
 import time
@@ -14,8 +14,8 @@ from tiegraph.errors import ProcessLost, SettingsError
 from tiegraph.forking import keep_memory
 from tiegraph.project.progress import Elsewhere
 
-_LOOK_S = 2.0  # between two looks whether the workers live
-_MOST_PER_CORE, _MOST = 4, 64  # workers: more is a slip of the keyboard; on a small machine this many are let pass
+_LOOK_S = 2.0  # between two checks whether the workers live
+_MOST_PER_CORE, _MOST = 4, 64  # workers: more is a typing error; on a small machine this many are allowed
 
 
 class SerialExecutor(Executor):
@@ -32,7 +32,7 @@ class SerialExecutor(Executor):
 
 
 class LocalPool(ProcessPoolExecutor):
-    """Processes of this machine that leave it to this process to stop them."""
+    """Processes of this machine that only this process stops."""
 
     def __init__(self, workers: int, threads: int) -> None:
         self.helpers = Helpers()
@@ -42,14 +42,14 @@ class LocalPool(ProcessPoolExecutor):
         """As the base class. Raises BrokenProcessPool too where a worker is lost while the next one starts."""
         try:
             return super().submit(fn, *args, **kwargs)
-        except OSError as error:  # the executor's thread has closed the queue that the new worker was to be given
+        except OSError as error:  # the executor's thread has closed the queue for the new worker
             if self._broken:
                 raise BrokenProcessPool(f"a worker was lost while another started: {error}") from error
             raise
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """As the base class. A worker that is killed meanwhile may have held the lock of the queue, which nobody
-        releases then: the others, who would wait for it for ever, are ended too."""
+        """As the base class. A worker that is killed meanwhile may have held the lock of the queue, which is never
+        released then: the others, which would wait for it forever, are ended too."""
         manager: Any = self._executor_manager_thread  # typeshed has another type
         super().shutdown(wait=False, cancel_futures=cancel_futures)
         while wait and manager is not None and manager.is_alive():
@@ -58,9 +58,9 @@ class LocalPool(ProcessPoolExecutor):
                 self.helpers.end()
 
     def end(self) -> None:
-        """End the workers at once, in the middle of what they do."""
+        """End the workers at once, in the middle of their tasks."""
         self.helpers.end()
-        # Of a result cut short the executor's thread would wait for the rest as long as anybody could write: we can.
+        # After a partial result the executor's thread waits for the rest while any process could write: ours can.
         results = self._result_queue
         if results is not None:
             results._writer.close()  # type: ignore[attr-defined]
@@ -69,7 +69,7 @@ class LocalPool(ProcessPoolExecutor):
 def check_pool(spec: str) -> tuple[str, str]:
     """(name, argument) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``, without starting anything.
 
-    Raises SettingsError for another name, a number that is none, or far more workers than the machine has cores.
+    Raises SettingsError for another name, an invalid number, or far more workers than the machine has cores.
     """
     name, colon, argument = spec.partition(":")
     if name not in ("serial", "local", "dask"):
@@ -87,7 +87,7 @@ def check_pool(spec: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Place:
-    """What workers on other machines must reach, and who counts what they use."""
+    """Folders that workers on other machines must reach, and the counter of their resource use."""
 
     folder: Path  # they write here
     reads: tuple[Path, ...] = ()  # and read these
@@ -98,7 +98,7 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     """(executor, number of workers) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``.
 
     Raises SettingsError as ``check_pool``; of Dask: EngineMissing when it is not installed, InputError when the cluster
-    does not answer, has no workers, or one that lacks what it needs (the same versions, the folders of ``place``).
+    does not answer, has no workers, or one that lacks a requirement (the same versions, the folders of ``place``).
     """
     name, argument = check_pool(spec)
     if name == "serial":
@@ -112,14 +112,14 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
 
 
 def _begin(threads: int) -> None:
-    """What a worker does first."""
+    """The first step of a worker."""
     limit_threads(threads)
     keep_memory()
 
 
 def limit_threads(threads: int) -> None:
-    """How many threads the libraries take in this process, for several of them share the machine. OpenMP hears of it
-    only if it is not loaded yet; linear algebra has one anyway (``tiegraph.blas``)."""
+    """Number of threads of the libraries in this process, because several share the machine. OpenMP obeys only if it is
+    not loaded yet; linear algebra has one anyway (``tiegraph.blas``)."""
     os.environ["OMP_NUM_THREADS"] = str(threads)
     import cv2
 
@@ -136,10 +136,11 @@ def map_items(
 ) -> list[Any]:
     """``[function(item, *args) for item in items]`` in chunks over the executor, results in the order of the items.
 
-    ``function`` must be at module level. The first error of an item is raised once the running chunks have ended; what
-    other items wrote stays. Raises ProcessLost if a worker was ended from outside. Ctrl-C ends the workers at once.
+    ``function`` must be at module level. The first error of an item is raised once the running chunks have ended;
+    results written by other items stay. Raises ProcessLost if a worker was ended from outside. Ctrl-C ends the workers
+    at once.
     """
-    # What is the same for all chunks may be large; an executor over a network sends it once (``share``).
+    # Common data of all chunks may be large; an executor over a network sends it once (``share``).
     call = getattr(executor, "share", lambda data: data)((function, args))
     # Enough to balance the load, few enough that a task takes about a second
     size = max(1, -(-len(items) // (workers * 8)))
@@ -157,7 +158,7 @@ def map_items(
     except BrokenProcessPool as error:
         why = _why_lost(executor, error)
         if isinstance(executor, LocalPool):
-            executor.end()  # a worker that was starting meanwhile hears of nothing, and the executor would wait for it
+            executor.end()  # a worker that was starting meanwhile gets no notice, and the executor would wait for it
         raise ProcessLost(why) from None
     except Exception:
         for future in futures:
@@ -176,7 +177,7 @@ def map_items(
 def _finished(executor: Executor, futures: dict[Future, int]) -> Iterator[Future]:
     """The futures as they end. Raises BrokenProcessPool for workers that were lost unnoticed.
 
-    The executor itself waits for ever for a worker that was ended while it sent its result.
+    The executor itself waits forever for a worker that was ended while it sent its result.
     """
     waiting, seen = set(futures), False
     while waiting:
@@ -192,7 +193,7 @@ def _finished(executor: Executor, futures: dict[Future, int]) -> Iterator[Future
 
 def _why_lost(executor: Executor, error: BrokenProcessPool) -> str:
     codes: list[int] = []
-    for _ in range(20):  # the executor's own thread may be about to learn it
+    for _ in range(20):  # the executor's own thread may be about to notice it
         codes = executor.helpers.lost() if isinstance(executor, LocalPool) else []
         if codes:
             break
@@ -209,7 +210,7 @@ def _why_lost(executor: Executor, error: BrokenProcessPool) -> str:
         )
     return (
         f"a worker process ended by itself ({how}), most likely a fault in a native library: run the same command "
-        "again, finished work is kept; with --pool serial it shows which item does it"
+        "again, finished work is kept; --pool serial shows which item causes it"
     )
 
 

@@ -1,4 +1,4 @@
-"""What a person sees while a run goes on: one line a stage, alive on a terminal, plain elsewhere."""
+"""The user's view of a run: one line a stage, live on a terminal, plain elsewhere."""
 
 import json
 import logging
@@ -25,12 +25,12 @@ from tiegraph.text import printable
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Go on (rich would end the process): `tiegraph run ... 2>&1 | head` has a reader for some lines only."""
+        """Continue (rich would end the process): `tiegraph run ... 2>&1 | head` reads only some lines."""
 
 
 class Reporter:
-    """Says what the run does. ``style``: "auto" (rich on a terminal, else plain lines), "json" (one object a line on
-    standard output), "quiet"."""
+    """Reports the progress of a run. ``style``: "auto" (rich on a terminal, else plain lines), "json" (one object a
+    line on standard output), "quiet"."""
 
     def __init__(self, style: str = "auto") -> None:
         self.style = style
@@ -66,19 +66,19 @@ class Reporter:
         self._progress = None
 
     def total(self, total: int, done: int = 0) -> None:
-        """How many items the running stage has, and how many were there already."""
+        """The number of items of the running stage, and how many existed already."""
         if self._progress is not None and self._task is not None:
             self._progress.update(self._task, total=total, completed=done)
 
     def advance(self, count: int = 1) -> None:
-        """So many items more are done."""
+        """Count more finished items."""
         if self._progress is not None and self._task is not None:
             memory = f"{psutil.Process().memory_info().rss / 2**20:.0f} MiB"
             self._progress.update(self._task, advance=count, memory=memory)
 
 
 class LogFormatter(logging.Formatter):
-    """Lines of the log; nothing that came from outside can act on the terminal that shows it."""
+    """Lines of the log; no text from outside can control the terminal that shows it."""
 
     def format(self, record: logging.LogRecord) -> str:
         """One record, tracebacks included."""
@@ -86,7 +86,7 @@ class LogFormatter(logging.Formatter):
 
 
 class Elsewhere:
-    """What workers that are not below this process (of Dask, on other machines) used since it was last asked for."""
+    """Resource use of workers outside this process (of Dask, on other machines) since the last query."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -94,13 +94,13 @@ class Elsewhere:
         self._peak_mib: dict[str, float] = {}
 
     def add(self, worker: str, used: dict[str, float]) -> None:
-        """Count what a worker's own ``Meter`` says of a piece of work."""
+        """Add the values of a worker's own ``Meter`` for a task."""
         with self._lock:
             self._cpu_s += used["cpu_s"]
             self._peak_mib[worker] = max(used["peak_mib"], self._peak_mib.get(worker, 0.0))
 
     def take(self) -> dict[str, float]:
-        """{"cpu_s", "peak_mib": the sum of the workers' peaks}; starts anew."""
+        """{"cpu_s", "peak_mib": the sum of the workers' peaks}; resets both."""
         with self._lock:
             used = {"cpu_s": self._cpu_s, "peak_mib": sum(self._peak_mib.values())}
             self._cpu_s, self._peak_mib = 0.0, {}
@@ -108,9 +108,9 @@ class Elsewhere:
 
 
 class Meter:
-    """CPU seconds and peak memory of this process and all below it, also those that have ended, and of ``elsewhere``.
+    """CPU seconds and peak memory of this process and all its children, also ended ones, and of ``elsewhere``.
 
-    The peaks of workers elsewhere are added up, whether they fell together or not.
+    The peaks of workers elsewhere are added up, even if they were not simultaneous.
     """
 
     def __init__(self, interval_s: float = 0.5, elsewhere: Elsewhere | None = None) -> None:
@@ -152,7 +152,7 @@ class Meter:
         rss = 0
         for process in [self._process, *self._children()]:
             try:
-                # The server of helpers has nothing that it does not share with this process.
+                # The server of helpers shares all its memory with this process.
                 rss += 0 if process.pid == server_pid() else process.memory_info().rss
             except psutil.Error:
                 pass

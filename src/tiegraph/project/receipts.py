@@ -1,7 +1,7 @@
-"""What each stage says of itself when it is done (or that it began), the versions that its result depends on, and which
-files it made: only these may be removed, and each can be told from one that was changed since.
+"""The receipt of each stage when it is done (or began), the versions that its result depends on, and the files that
+it made: only these may be removed, and changed ones are recognised.
 
-A file counts by its size and content; its time only saves reading it again. A link counts by where it leads.
+A file counts by its size and content; its time only saves reading it again. A link counts by its target.
 """
 
 import hashlib
@@ -22,10 +22,10 @@ from tiegraph.project.stages import read_object, save_json, write_atomic
 from tiegraph.scene.atomic import JOURNAL, sync
 
 Ledger = dict[str, list]
-"""Name below the run folder -> [size, time in ns, digest], ["link", target], or [] for one not looked at yet."""
+"""Name below the run folder -> [size, time in ns, digest], ["link", target], or [] if not read yet."""
 
 SET_ASIDE = "set_aside"
-_THREADS = 4  # reading and hashing let go of the interpreter's lock
+_THREADS = 4  # reading and hashing release the interpreter's lock
 
 
 def files_below(folder: Path, tops: Iterable[str], apart: Sequence[str] = ()) -> list[str]:
@@ -52,7 +52,7 @@ def _walk(folder: Path, name: str) -> Iterator[str]:
 
 
 def recorded(folder: Path, names: Sequence[str]) -> Ledger:
-    """What there is to know of files, once they are on the disk."""
+    """The records of files, once they are on the disk."""
     with ThreadPoolExecutor(_THREADS) as threads:
         entries = threads.map(lambda name: _entry(folder / name, safe=True), names)
         ledger = dict(zip(names, entries))
@@ -62,7 +62,7 @@ def recorded(folder: Path, names: Sequence[str]) -> Ledger:
 
 
 def digests(paths: Sequence[Path]) -> list[str]:
-    """Digest of each file's content; "" of one that cannot be read."""
+    """Digest of each file's content; "" if it cannot be read."""
     with ThreadPoolExecutor(_THREADS) as threads:
         return list(threads.map(_digest_if_readable, paths))
 
@@ -92,7 +92,7 @@ def _digest(path: Path) -> str:
 
 
 def trouble(path: Path, entry: list, thorough: bool = False) -> str:
-    """ "missing", "changed since" or "" for a file as recorded; ``thorough`` also reads what seems unchanged."""
+    """ "missing", "changed since" or "" for a file as recorded; ``thorough`` also reads apparently unchanged files."""
     try:
         info = path.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -109,15 +109,15 @@ def trouble(path: Path, entry: list, thorough: bool = False) -> str:
 
 
 def digest_of(ledger: Ledger, tops: Iterable[str]) -> str:
-    """16 hex digits over names and contents of the files at or below ``tops``, not over times and places: what a link
-    leads to counts in the key of its stage."""
+    """16 hex digits over names and contents of the files at or below ``tops``, not over times and places: the target of
+    a link counts in the key of its stage."""
     tops = tuple(tops)
     rows = [[n, *(e[:1] if e[:1] == ["link"] else e[-1:])] for n, e in sorted(ledger.items()) if covered(n, tops)]
     return hashlib.blake2b(json.dumps(rows).encode(), digest_size=8).hexdigest()
 
 
 def take_away(folder: Path, names: Iterable[str]) -> None:
-    """Remove files, and the folders below the run folder that are empty then."""
+    """Remove files, and the folders below the run folder that are then empty."""
     parents: set[PurePosixPath] = set()
     for name in names:
         (folder / name).unlink(missing_ok=True)
@@ -130,7 +130,7 @@ def take_away(folder: Path, names: Iterable[str]) -> None:
 
 
 def put_aside(folder: Path, names: Sequence[str]) -> str:
-    """Move files or folders out of the way, below ``set_aside/<time>/``; where to, "" if there are none."""
+    """Move files or folders to ``set_aside/<time>/``; the new place, "" if there are none."""
     if not names:
         return ""
     place = f"{SET_ASIDE}/{datetime.now(timezone.utc):%Y%m%dT%H%M%S%f}"
@@ -142,7 +142,7 @@ def put_aside(folder: Path, names: Sequence[str]) -> str:
 
 
 def read_journal(folder: Path) -> list[str]:
-    """Names that were claimed since the journal was begun; of a line that a power cut left in pieces nothing."""
+    """Names that were claimed since the journal was begun; a line cut off by a power failure is ignored."""
     try:
         lines = (folder / JOURNAL).read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
@@ -199,12 +199,12 @@ _PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "
 
 
 def software() -> dict[str, str]:
-    """Versions of tiegraph, Python and the packages that are installed of those a result depends on."""
+    """Versions of tiegraph, Python and the installed packages that a result depends on."""
     found = {package: known for package in _PACKAGES if (known := _version(package))}
     return {"tiegraph": __version__, "python": platform.python_version(), **found}
 
 
-@cache  # every receipt tells it, and to read a package's description takes milliseconds
+@cache  # every receipt has it, and reading a package's description takes milliseconds
 def _version(package: str) -> str:
     try:
         return version(package)

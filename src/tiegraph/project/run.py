@@ -1,4 +1,4 @@
-"""A run folder at work: its lock, its log, its pool, and the loop over the stages."""
+"""A run folder in use: its lock, its log, its pool, and the loop over the stages."""
 
 import logging
 import time
@@ -26,7 +26,7 @@ log = logging.getLogger("tiegraph")
 
 
 class Run:
-    """What the glue of a stage works with: the folder, the settings, the pool and the progress."""
+    """The context of a stage's code: the folder, the settings, the pool and the progress."""
 
     def __init__(
         self, folder: Path, inputs: Inputs, settings: Any, pool: str = "local", reporter: Reporter | None = None
@@ -45,11 +45,11 @@ class Run:
         self._workers = 1
 
     def keys(self, stages: Sequence[Stage]) -> dict[str, str]:
-        """The key of every stage, by what its inputs and settings are now."""
+        """The key of every stage by its present inputs and settings."""
         return stage_keys(stages, self.settings, self.inputs.parts(self.stamps), self.stamps)
 
     def parts(self, stage: Stage) -> dict[str, str]:
-        """What the key of a stage counts beside the keys of what it needs."""
+        """The parts of a stage's key besides the keys of the stages it needs."""
         sources = {} if stage.needs else self.inputs.parts(self.stamps)
         return key_parts(stage, self.settings, sources, self.stamps)
 
@@ -89,26 +89,26 @@ class Run:
         return map_items(self.open(), self._workers, function, asked, args, self.reporter.advance)
 
     def map_untold(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
-        """``map`` of which the progress hears nothing: the caller tells it."""
+        """``map`` without progress: the caller reports it."""
         return map_items(self.open(), self._workers, function, items, args) if items else []
 
     def make_missing(
         self, function: Callable[..., Any], items: Sequence[str], artefact: Callable[[str], Path], *args: Any
     ) -> list[Any]:
-        """``map`` over the items whose artefact is not there yet; results of those only."""
+        """``map`` over the items without an artefact; results of those only."""
         todo = [item for item in items if not artefact(item).exists()]
         self.reporter.total(len(items), len(items) - len(todo))
         return self.map(function, todo, *args)
 
     def rest(self) -> None:
-        """End the workers where new ones cost next to nothing: what they keep in memory serves one stage."""
+        """End the workers if new ones cost next to nothing: their cached data serves one stage."""
         if isinstance(self._executor, LocalPool) and forking.running():
             self._executor.shutdown()
             self._executor = None
 
     @contextmanager
     def one_by_one(self) -> Iterator[None]:
-        """With a single worker of this machine meanwhile: what takes the least memory, and dies alone."""
+        """With a single worker of this machine meanwhile: it takes the least memory, and dies alone."""
         self.close()
         before, self._pool_spec = self._pool_spec, "serial" if self._pool_spec == "serial" else "local:1"
         try:
@@ -153,11 +153,11 @@ def run_stages(
 ) -> list[str]:
     """Run what is out of date, up to and including ``until``; the names of the stages that ran.
 
-    ``remember`` keeps the settings in the run folder and gives what takes that back: done if they are refused before
-    any stage was finished with them. A stage for which the images give nothing (ReconstructionError), or whose process
-    ends twice (ChildDied), ends no run: what needs it is left out, and the report says so. Raises InputError for files
-    in the run folder that are not ours, what else the stages raise, and in the end that error if the stage is
-    ``until`` itself. What the images did not give they are asked for again when anything changed, or as ``until``.
+    ``remember`` keeps the settings in the run folder and returns a function that undoes this: called if they are
+    refused before any stage was finished with them. A stage for which the images give no result (ReconstructionError),
+    or whose process ends twice (ChildDied), does not end the run: stages that need it are left out, and the report
+    lists it. Raises InputError for files in the run folder that are not ours, other errors of the stages, and in the
+    end that error if the stage is ``until`` itself. Such stages are tried again when anything changed, or as ``until``.
     """
     wanted = needed(stages, until)
     check_run(stages, run)
@@ -192,20 +192,20 @@ def run_stages(
 def _run_through(
     wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str], until: str | None
 ) -> dict[str | None, ReconstructionError] | None:
-    """Run what is out of date; the stages of which nothing came, and those that need them. None if a stage could not
-    read what another had made, which is then out of date."""
+    """Run what is out of date; the stages without result, and those that need them. None if a stage could not
+    read an artefact of another, which is then out of date."""
     lost: dict[str | None, ReconstructionError] = {}
-    news = False  # of what was lost: the report says it in the words of now
+    news = False  # of lost stages: the report then uses the present reasons
     for stage in wanted:
         key, error = keys[stage.name], None
         away = next((n for n in stage.needs if n in lost and n not in stage.spares and not stage.alone), "")
         known = artefacts.lost(stage, key) if stage.name != until else ""
-        after = [s for s in wanted if stage.name in s.needs]  # of files that were let go: who needs them again
+        after = [s for s in wanted if stage.name in s.needs]  # of removed files: the stages that need them again
         back = artefacts.is_let_go(stage) and (not after or any(artefacts.why(s, keys[s.name]) for s in after))
         if away:
-            error = ReconstructionError(f"it needs the stage {away}, of which nothing came")
+            error = ReconstructionError(f"it needs the stage {away}, which has no result")
             if known != str(error):
-                artefacts.begin(stage, key)  # what an earlier run made of it is no result of this one
+                artefacts.begin(stage, key)  # results of an earlier run are no results of this one
         elif known:
             error = ReconstructionError(known)
         elif (news and stage.alone) or artefacts.why(stage, key) or back:
@@ -233,7 +233,7 @@ def _run_through(
 
 
 def _tried(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
-    """Run a stage, and where a process of it ends once more with one process at a time."""
+    """Run a stage, and if one of its processes ends, once more with one process at a time."""
     try:
         _run_one(stage, key, run, artefacts)
     except ChildDied as error:
@@ -243,7 +243,7 @@ def _tried(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
 
 
 def _lose(stage: Stage, error: ReconstructionError, follows: bool, run: Run) -> bool:
-    """Say why nothing comes of a stage that has begun, which may follow from another; whether that is news."""
+    """Report why a stage that has begun has no result, perhaps because of another; whether that is news."""
     why, before = str(error).splitlines()[0], run.receipts.read(stage.name)
     more = {LOST: why, DIED: isinstance(error, ChildDied), "contradictions": () if follows else (why,)}
     run.receipts.write(stage.name, {**before, **more})
@@ -253,7 +253,7 @@ def _lose(stage: Stage, error: ReconstructionError, follows: bool, run: Run) -> 
 
 
 def let_go(stages: Sequence[Stage], run: Run) -> int:
-    """Remove what serves no stage any more, where all that need it are up to date; the bytes that this freed."""
+    """Remove files that no stage needs any more, if all that need them are up to date; the bytes freed."""
     keys, artefacts, freed = run.keys(stages), Artefacts(run.folder, stages), 0
     with working_in(run.folder):
         artefacts.look()
@@ -266,7 +266,7 @@ def let_go(stages: Sequence[Stage], run: Run) -> int:
 
 
 def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
-    run.open()  # before anything is removed: no worker still writes for an earlier run once it is open
+    run.open()  # before anything is removed: after this no worker still writes for an earlier run
     for text in artefacts.begin(stage, key):
         run.reporter.say(f"{stage.name:>9}  {text}")
         log.warning("stage %s: %s", stage.name, text)
@@ -280,7 +280,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
     except BaseException as error:
         own = isinstance(error, (TiegraphError, KeyboardInterrupt))
         log.error("stage %s%s", stage.name, f": {error or 'stopped'}" if own else "", exc_info=None if own else error)
-        with suppress(OSError, TiegraphError):  # on a full disk the journal stays, and tells the same
+        with suppress(OSError, TiegraphError):  # on a full disk the journal stays, with the same content
             artefacts.recover()
         told = explained(error, run.folder) if isinstance(error, Exception) else None
         if told is None and isinstance(error, OSError):
@@ -341,7 +341,7 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
         others = next((f"{need} is out of date" for need in sorted(stale & set(stage.needs))), "")
         if why == OTHER_KEY:
             before, now = artefacts.receipts.read(stage.name).get("key_parts", {}), run.parts(stage)
-            changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # otherwise, gone, new
+            changed = [name for name in {**now, **before} if before.get(name) != now.get(name)]  # changed, gone, new
             named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
             why = f"changed: {named}" if before and changed else others or why
         why = why or others

@@ -62,8 +62,8 @@ SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks"), "tolerance
 
 
 class Tunings(Section):
-    """The constants that the engines decide by, and ``scene``, which they share: tables ``[tuning.<engine>]`` of
-    tiegraph.toml. They are the same for every user, so the command line does not show them; they are in reach for
+    """The constants of the engines, and ``scene``, which they share: tables ``[tuning.<engine>]`` of
+    tiegraph.toml. They are the same for every user, so the command line does not show them; they can be changed for
     measurements."""
 
     scene: SceneTuning = Field(default_factory=SceneTuning)
@@ -141,7 +141,7 @@ def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Setti
 
 
 def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Two layers of one section: tables within it are laid over each other too."""
+    """Two layers of one section: tables within it are merged too."""
     tables = {
         name: _laid_over(below[name], value)
         for name, value in above.items()
@@ -151,7 +151,7 @@ def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def changed(settings: Settings) -> dict[str, dict[str, Any]]:
-    """What differs from the defaults, by section, ready for TOML."""
+    """The differences from the defaults, by section, ready for TOML."""
     full = settings.model_dump(mode="json", exclude_defaults=True)
     return {section: _without_none(values) for section, values in full.items() if values}
 
@@ -159,7 +159,7 @@ def changed(settings: Settings) -> dict[str, dict[str, Any]]:
 def read_file(path: Path) -> dict[str, Any]:
     """The tables of a tiegraph.toml, {} if it is not there.
 
-    Raises SettingsError for what is no file of UTF-8 text, with the line of a TOML error, and for what is no section.
+    Raises SettingsError for a file that is no UTF-8 text, with the line of a TOML error, and for invalid sections.
     """
     if not path.exists():
         return {}
@@ -178,7 +178,7 @@ def read_file(path: Path) -> dict[str, Any]:
 
 
 def read_settings(path: Path, made_with: dict[str, dict[str, Any]] | None = None) -> Settings:
-    """The settings that the tiegraph.toml of a run folder says, on top of those that what is asked of was made with
+    """The settings of a run folder's tiegraph.toml, on top of those that its results were made with
     (sections of receipts) and of its preset; the defaults if it is not there. Raises SettingsError."""
     stored = read_file(path)
     run = stored.pop("run", {})
@@ -186,7 +186,7 @@ def read_settings(path: Path, made_with: dict[str, dict[str, Any]] | None = None
 
 
 def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
-    """The section [run] of a tiegraph.toml: inputs by name. Raises SettingsError for unknown names and for no text."""
+    """The section [run] of a tiegraph.toml: inputs by name. Raises SettingsError for unknown names and non-text."""
     run = data.get("run", {})
     if not isinstance(run, dict):
         raise SettingsError(f"{where}: run = {shortened(run)} must be a section [run] that holds {', '.join(RUN_KEYS)}")
@@ -197,13 +197,13 @@ def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
             raise SettingsError(f"{where}: unknown name {name!r} in [run]: {remedy}")
         if not isinstance(value, str) or not value.strip() or "\0" in value:
             raise SettingsError(
-                f"{where}: run.{name} = {shortened(value)}: give a path or name in quotes, or take it out"
+                f"{where}: run.{name} = {shortened(value)}: give a path or name in quotes, or remove it"
             )
     return run
 
 
 def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
-    """The tables of a tiegraph.toml without some values, which may not be there: inputs ("gnss") and settings
+    """The tables of a tiegraph.toml without some values, which may be absent: inputs ("gnss") and settings
     ("masks.folder"). Raises SettingsError for a name that is neither."""
     settings = {f"{section}.{name}": (section, name) for section, fields in sections() for name in fields}
     places = {**{n: ("run", n) for n in RUN_KEYS[1:]}, **SETTING_OF, **settings}
@@ -228,7 +228,7 @@ def sections() -> list[tuple[str, dict[str, Any]]]:
 
 
 def shortened(value: Any) -> str:
-    """A wrong value for a message."""
+    """A wrong value, shortened for a message."""
     text = repr(value)
     return text if len(text) <= _SHOWN else text[:_SHOWN] + " ..."
 
@@ -253,7 +253,7 @@ def _without_none(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def explain(error: Any, root: type[Section]) -> str:
-    """An error of validation in words, with the name of the setting below ``root`` and what may have been meant."""
+    """A validation error in words, with the name of the setting below ``root`` and the likely intended one."""
     where = [str(part) for part in error["loc"]]
     name = ".".join(where)
     if error["type"] != "extra_forbidden":
@@ -266,17 +266,17 @@ def explain(error: Any, root: type[Section]) -> str:
 
 
 def _meant(name: str, known: Iterable[str], mark: str = "") -> str:
-    """What a wrong name may have been meant to be, else what there is."""
+    """The name that a wrong one probably means, else the known names."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"perhaps you meant {near[0]!r}{mark}" if near else f"known are {', '.join(known)}"
 
 
-# What each named way of working changes; those of the papers are put in when they are asked for.
+# The settings of each preset; those of the papers are added when they are requested.
 _PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
-    # Small depth maps of two partners each: for a look on site.
+    # Small depth maps of two partners each: for a check on site.
     "fast": {"dense": {"max_image_size": 800, "partners": 2}},
-    # A rig or camera within arm's reach (paper 004): every pixel of the images, and every neighbour that helps.
+    # A rig or camera within arm's reach (paper 004): every pixel of the images, and every useful neighbour.
     "close-range": {"dense": {"max_image_size": 8000, "partners": 6}},
 }
 PRESETS = (*_PRESETS, *papers.PRESETS)

@@ -1,8 +1,8 @@
 """A stage turns artefacts into artefacts. Knows no photogrammetry.
 
-A stage's key is a hash over its name, its code version, its settings (files they name included) and the keys of what it
-needs: what it will be made from, before anything is made. Its parts stand in the receipt one by one, so that ``status``
-can name what changed.
+A stage's key is a hash over its name, its code version, its settings (files they name included) and the keys of the
+stages it needs: its sources, before anything is made. The parts of the key are in the receipt one by one, so that
+``status`` can name what changed.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ PLACE = "the place of the images"  # among the sources of a run
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage says of itself; everything a report may want to show."""
+    """The result of a stage in words and numbers; everything a report may show."""
 
     counts: Mapping[str, float] = field(default_factory=dict)
     dropped: tuple[tuple[str, str], ...] = ()
@@ -37,15 +37,15 @@ class Stage:
     run: Callable[[Any], Outcome]
     needs: tuple[str, ...]
     makes: tuple[str, ...]  # artefacts below the run folder
-    item: str = ""  # what finished pieces are counted in, "" = all or nothing
+    item: str = ""  # unit of its finished parts, "" = all or nothing
     changes: tuple[str, ...] = ()  # artefacts of other stages that it adds to
     clear: Callable[[Path], None] | None = None  # removes from those what it added
     uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
     tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning), beside that of its own name
-    scratch: tuple[str, ...] = ()  # what it keeps below the run folder until it is done
-    spares: tuple[str, ...] = ()  # of what it needs: can do without, where the images gave nothing for it
-    alone: bool = False  # reads nothing but the run folder, whatever is there
-    passing: bool = False  # what it makes serves later stages only and may be let go once they are done
+    scratch: tuple[str, ...] = ()  # temporary files below the run folder until it is done
+    spares: tuple[str, ...] = ()  # needed stages that it can do without, if the images gave no result for them
+    alone: bool = False  # reads nothing but the run folder, whatever exists
+    passing: bool = False  # its files serve later stages only and may be removed once they are done
     version: int = 1  # raise it when the stage's results change for the same settings
 
 
@@ -85,8 +85,8 @@ def settings_key(section: Any, stamp: Callable[[Path], Any]) -> Any:
 
 
 def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Callable[[Path], Any]) -> dict[str, str]:
-    """What a stage's key counts beside the keys of what it needs: name -> digest. ``sources``: what counts of each
-    input of the run, by what the user calls it; it counts for the stages that need no other."""
+    """The parts of a stage's key besides the keys of the stages it needs: name -> digest. ``sources``: the stamp of
+    each input of the run, by the user's name for it; it counts for the stages that need no other."""
     parts: dict[str, Any] = {} if stage.needs else dict(sources)
     for name in (stage.name, *stage.uses):
         key = settings_key(getattr(settings, name), stamp)
@@ -101,8 +101,8 @@ def stage_keys(
 ) -> dict[str, str]:
     """The key of every stage, over its parts and the keys of what it needs.
 
-    Where the sources lie (``PLACE``) counts for the stages that need no other alone: these are made again for it, and
-    what they make is the same.
+    The place of the sources (``PLACE``) counts only for the stages that need no other: these are made again for it, and
+    their results are the same.
     """
     keys: dict[str, str] = {}
     for stage in stages:
@@ -119,7 +119,7 @@ def write_atomic(path: Path, data: bytes | str) -> None:
     except OSError as error:
         raise InputError(
             f"cannot write {path}: {error.strerror or error}; choose another output folder, then run again: "
-            "what is finished is kept"
+            "finished work is kept"
         ) from error
 
 
@@ -129,7 +129,7 @@ def save_json(path: Path, data: Any) -> None:
 
 
 def read_object(path: Path) -> dict | None:
-    """The JSON object in a file; None where there is none, or none that can be read."""
+    """The JSON object in a file; None if there is none, or none that can be read."""
     try:
         found = json.loads(path.read_text())
     except (OSError, ValueError):

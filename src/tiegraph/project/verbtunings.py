@@ -1,5 +1,5 @@
-"""Constants of the verbs beside the pipeline, which have no run folder: tables ``[tuning.<engine>]`` of a file that
-``--tuning`` names."""
+"""Constants of the verbs outside the pipeline, which have no run folder: tables ``[tuning.<engine>]`` of the file
+``--tuning``."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from tiegraph.watch.tuning import Tuning as WatchTuning
 
 
 class VerbTunings(Tunings):
-    """Those of the stages, of which the verbs use some, and the verbs' own."""
+    """The constants of the stages, of which the verbs use some, and the verbs' own."""
 
     calibrate: CalibrateTuning = Field(default_factory=CalibrateTuning)
     lidar: LidarTuning = Field(default_factory=LidarTuning)
@@ -26,7 +26,7 @@ class VerbTunings(Tunings):
     watch: WatchTuning = Field(default_factory=WatchTuning)
 
     def changed(self) -> dict[str, Any]:
-        """What differs from the defaults, by engine."""
+        """The differences from the defaults, by engine."""
         return self.model_dump(mode="json", exclude_defaults=True)
 
     def of_stages(self) -> dict[str, Any]:
@@ -39,9 +39,9 @@ class _File(Section):
 
 
 def read_tunings(path: Path | None) -> VerbTunings:
-    """The constants of a file, those it does not name and those of no file (None) by default.
+    """The constants of a file; defaults for those it does not name, or without a file (None).
 
-    Raises SettingsError for a file that is not there or is no TOML, for other tables, unknown names and wrong values.
+    Raises SettingsError for a missing or invalid TOML file, for other tables, unknown names and wrong values.
     """
     if path is None:
         return VerbTunings()

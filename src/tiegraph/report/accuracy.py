@@ -1,7 +1,7 @@
 """The accuracy of a run in words, for the page and the terminal: every figure is taken from ``scene.accuracy`` by key.
 
-On the page each figure is marked with its key (``<data data-accuracy="world.predicted">``), so that a test can hold all
-of them against the one source.
+On the page each figure is marked with its key (``<data data-accuracy="world.predicted">``), so that a test can compare
+all of them with the one source.
 """
 
 import json
@@ -22,7 +22,7 @@ _MEANS = {
     "point": "how far a point may be off its neighbours",
 }
 _WITHOUT = {
-    "world.check_points": "No check points: whether coordinates are right is the positions' word alone.",
+    "world.check_points": "No check points: the coordinates rest on the positions alone.",
     "world.held_out": "No positions held back from the fit: whether the model bends between them is not tested.",
     "point.reference_cloud": "No reference cloud: noise and ghosts of the cloud were not measured.",
 }
@@ -34,16 +34,16 @@ _PLACEMENT = {  # name -> (words, unit, factor, where nothing is known)
 
 
 def sentences(accuracy: Accuracy) -> list[str]:
-    """The answer to the tolerance, then a sentence for each layer: what is predicted of it, and what measured it."""
+    """The answer to the tolerance, then a sentence for each layer: its predicted and measured values."""
     out, found = [], answer(accuracy)
     if found is not None:
-        remedy = t(" What would make it yes: {}.", found["remedy"]) if found["remedy"] else ""
+        remedy = t(" Remedy: {}.", found["remedy"]) if found["remedy"] else ""
         text = "Tolerance of {} in the world: {}. Reason: {}.{}"
         out.append(t(text, found["asked"], found["said"], found["why"], remedy))
     for layer, name in LAYERS.items():
         figures = accuracy.of(layer)
         if layer == "world" and not figures:
-            out.append(t("In the world: not known, for nothing holds it there."))
+            out.append(t("In the world: not known, because there is no control."))
             continue
         own = [f for f in figures if not f.by or f == accuracy.head(layer)]
         told = [t("{} for {}", _value(accuracy, f, PREDICTED), said(f.of)) for f in own] or [formatting.NONE]
@@ -53,13 +53,13 @@ def sentences(accuracy: Accuracy) -> list[str]:
 
 
 def _measured(accuracy: Accuracy, figures: list[Figure]) -> str:
-    """What the best evidence of a layer says."""
+    """The measured values of a layer by the best evidence."""
     best, held = _best(figures), accuracy.figure("world.held_out")
     if best is not None:
         measured, predicted = (_value(accuracy, best, what) for what in (MEASURED, PREDICTED))
         return t(" Measured {} ({}) by {}, predicted {}.", measured, said(best.of), said(best.by), predicted)
     if held in figures:
-        text = " Nothing independent measured it; {} are met within {}, which an error of all does not show in."
+        text = " Nothing independent measured it; {} are met within {}, which does not show a common error."
         return t(text, said(held.by), _value(accuracy, held, MEASURED))
     return t(" Nothing independent measured it.")
 
@@ -74,9 +74,9 @@ def terminal_lines(metrics_file: Path) -> list[str]:
 
 
 def layers(accuracy: Accuracy) -> list[dict[str, str]]:
-    """The three layers in short, for one who has not read of layers: ``name`` (of a layer in its first row), what it
-    ``means``, ``predicted`` and ``measured`` of the same thing, ``by`` what. What was measured of another thing than
-    stands for the layer has a row of its own."""
+    """The three layers in short, for readers who do not know them: ``name`` (of a layer in its first row), what it
+    ``means``, ``predicted`` and ``measured`` of the same thing, ``by`` what. Measurements of another thing than
+    the layer's own figure have a row of their own."""
     out = []
     for key, means in _MEANS.items():
         best, head = _best(accuracy.of(key)), accuracy.head(key)
@@ -89,7 +89,7 @@ def layers(accuracy: Accuracy) -> list[dict[str, str]]:
 
 
 def holding(accuracy: Accuracy) -> str:
-    """What holds the run in the world."""
+    """The control of the run in the world."""
     return t("Held in the world by {}.", said(accuracy.held_by))
 
 
@@ -114,12 +114,12 @@ def table(accuracy: Accuracy) -> formatting.Table:
 
 
 def without(accuracy: Accuracy) -> list[str]:
-    """What could have measured the run and did not, and what therefore is not known."""
+    """Missing references, and what therefore is not known."""
     return [t(text) for key, text in _WITHOUT.items() if not is_number(accuracy.figure(key).measured)]
 
 
 def placement(accuracy: Accuracy) -> str:
-    """How the model as a whole is known to stand; "" where it is not placed."""
+    """Accuracy of the placement of the whole model; "" if it is not placed."""
     parts = [part for name in _PLACEMENT if (part := placement_part(accuracy, name))]
     text = "The model as a whole is placed, at its middle, with standard deviations of: {}."
     return t(text, Markup(t("; ")).join(parts)) if parts else ""
@@ -137,7 +137,7 @@ def placement_part(accuracy: Accuracy, name: str) -> str:
 
 
 def answer(accuracy: Accuracy) -> dict[str, str] | None:
-    """The answer to the tolerance in parts: asked, said, why, remedy; None where none was given."""
+    """The answer to the tolerance in parts: asked, said, why, remedy; None if none was given."""
     given = accuracy.answer
     if given is None:
         return None

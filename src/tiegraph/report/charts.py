@@ -1,4 +1,4 @@
-"""Charts of the pairs: matrices of what was looked at and of what was verified, the funnel, the ties of an image."""
+"""Charts of the pairs: matrices of tested and of verified pairs, the funnel, the ties of an image."""
 
 from collections.abc import Sequence
 
@@ -18,10 +18,10 @@ _NAMED_BLOCKS = 16
 
 
 def looked_at(pairs: Pairs, scene: Scene) -> Markup:
-    """Every pair that was looked at, by image and image, in the colour of why it was dropped."""
+    """Every tested pair, by image and image, in the colour of the reason why it was dropped."""
     looks = [REASON_LOOKS[reason] for reason in REASONS]
     key = [(said(looks[k][0]), looks[k][1]) for k in np.unique(pairs.dropped)]
-    label = t("Looked at: {} pairs", formatting.count(len(pairs)))
+    label = t("Tested: {} pairs", formatting.count(len(pairs)))
     return _matrix(pairs, -pairs.dropped.astype(int), scene, [colour for _, colour in looks], key, label)
 
 
@@ -51,7 +51,7 @@ def _matrix(
     pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str], key: Sequence[tuple[str, str]], label: str
 ) -> Markup:
     """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k; of those on one pixel the
-    highest rank is seen."""
+    highest rank is visible."""
     n = max(len(scene), 1)
     order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
     labels = scene.image_label()
@@ -83,7 +83,7 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
 
 
 def is_loss(name: str) -> bool:
-    """Whether a row of the funnel says what a filter dropped, not what is there."""
+    """Whether a row of the funnel counts dropped pairs, not remaining ones."""
     return name.startswith("dropped")
 
 
@@ -96,7 +96,7 @@ def pairs_left(rows: Sequence[tuple[str, int, str]]) -> list[int]:
 
 
 def funnel(rows: Sequence[tuple[str, int, str]]) -> Markup:
-    """What every filter leaves, with what it drops in the colour it has in the matrix."""
+    """The remaining pairs after every filter, with the dropped ones in their colour of the matrix."""
     drawn: list[tuple[str, Sequence[tuple[float, str]], str]] = []
     for (name, value, colour), left in zip(rows, pairs_left(rows)):
         parts, end = [(left, colour)], formatting.count(left)

@@ -1,4 +1,4 @@
-"""Page one, for the client: what, where, when, how good, whether that is good enough, what is handed over, and the
+"""Page one, for the client: object, place, time, accuracy, tolerance, deliverables, and the
 three worst problems; on one sheet of paper, with a line to sign."""
 
 from datetime import datetime, timezone
@@ -23,7 +23,7 @@ _FILES = {
     "metrics.json": "accuracy, all figures",
     "accuracy.csv": "accuracy, as a table",
 }
-_EPOCH_S = 3e8  # a time beyond is counted from 1970, one below from a start of its own
+_EPOCH_S = 3e8  # larger times count from 1970, smaller ones from a start of their own
 
 
 def client_page(
@@ -53,7 +53,7 @@ def worst(verdict: Verdict) -> list[str]:
 
 
 def deliverables(run: RunFolder) -> list[tuple[str, str, int]]:
-    """(name, what it is, bytes) of each that is there."""
+    """(name, description, bytes) of each existing one."""
     out = []
     for name, words in _FILES.items():
         path = run.path / name
@@ -91,7 +91,7 @@ def where(run: RunFolder, seen: spatial.Scenery | None) -> list[tuple[str, str]]
 
 
 def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
-    """First and last exposure (ISO 8601, in UTC, or without a zone where none is known; None if the clock has no date)
+    """First and last exposure (ISO 8601, in UTC, or without a zone if none is known; None if the clock has no date)
     and the seconds between them."""
     known = run.scene.time_s[np.isfinite(run.scene.time_s)] if run.scene is not None else np.zeros(0)
     if not len(known):

@@ -18,7 +18,7 @@ from tiegraph.text import round_below
 
 _EDL_STRENGTH = 2.0
 _EDL_DEAD_PX = 0.7  # noise of a surface that is not shaded
-_EDL_CLIP_PX = 8.0  # a step deeper than this is not darker
+_EDL_CLIP_PX = 8.0  # a deeper step is not darker
 _MAX_RADIUS_PX = 3
 
 
@@ -34,7 +34,7 @@ class CloudView:
 def standard_views(
     xyz: np.ndarray, rgb: np.ndarray, path: np.ndarray, width: int, north_up: bool = True
 ) -> list[CloudView]:
-    """Top view and two obliques from either side of the path (K, 3) of the cameras; up is +z, +y is north if so told.
+    """Top view and two obliques from either side of the path (K, 3) of the cameras; up is +z, +y is north if stated.
 
     Points (N, 3), colours (N, 3) u1. Views are cropped to the middle 98 % of the points, so that a few strays do not
     shrink the rest.
@@ -67,7 +67,7 @@ def main_axis_deg(path: np.ndarray) -> float:
 
 
 def compass(angle_deg: float) -> str:
-    """Name of the direction in which a viewer stands who is seen at this angle from +x counter-clockwise."""
+    """Name of the direction of a viewer at this angle from +x counter-clockwise."""
     names = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
     return "the " + names[round(angle_deg / 45) % 8]
 
@@ -123,7 +123,7 @@ def _drawn(
         u, v = column[pick] + dx, row[pick] + dy
         inside = (u >= 0) & (u < size[1]) & (v >= 0) & (v < size[0])
         pick, cell = pick[inside], v[inside] * size[1] + u[inside]
-        nearer = depth[pick] < buffer[cell] - away  # a disc's rim must not cover what is about as near
+        nearer = depth[pick] < buffer[cell] - away  # a disc's rim must not cover points of about the same depth
         pick, cell = pick[nearer], cell[nearer]
         picture[cell], buffer[cell] = colour[pick], depth[pick]
     return picture.reshape(*size, 3), buffer.reshape(size)
@@ -142,7 +142,7 @@ def _radius(column: np.ndarray, row: np.ndarray, size: tuple[int, int]) -> np.nd
 def _shaded(picture: np.ndarray, buffer: np.ndarray) -> np.ndarray:
     """Eye-dome lighting: a pixel is darkened by how far it lies behind the mean of opposite neighbours.
 
-    Means of opposite pixels leave plain slopes alone, which the drawing is full of.
+    Means of opposite pixels leave plane slopes, which fill the drawing, unchanged.
     """
     padded, (h, w) = np.pad(buffer, 2, mode="edge"), buffer.shape
     shade = np.zeros(buffer.shape, np.float32)
@@ -169,13 +169,13 @@ def with_scale_bar(view: CloudView, unit: str) -> np.ndarray:
     return picture
 
 
-# Okabe and Ito 2008: told apart by colour-blind readers too; as --pass0 ... of the style sheet
+# Okabe and Ito 2008: distinct for colour-blind readers too; as --pass0 ... of the style sheet
 PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What points (N,) are coloured by, NaN = not known: a value, ``signed`` if its zero is the middle of the colours,
+    """Colour scale of points (N,), NaN = not known: a value, ``signed`` if its zero is the middle of the colours,
     or the number of one of ``names``."""
 
     values: np.ndarray
@@ -183,7 +183,7 @@ class Scale:
     names: tuple[str, ...] = ()
 
     def packed(self, name: str, unit: str) -> dict[str, Any]:
-        """For the view: one byte a point, between the ends of the scale or as they are numbered; 255 = not known."""
+        """For the view: one byte a point, between the ends of the scale or as numbers; 255 = not known."""
         known = np.isfinite(self.values)
         out: dict[str, Any] = {"name": name, "unknown": not known.all()}
         if self.names:
@@ -200,8 +200,8 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class ViewerExtras:
-    """What a view may show besides points and paths: scales of the points by name, what is added to coordinates
-    that are read off (3,), the names of the axes, images (name, place (3,), picture as data URI or ""), north."""
+    """Optional content of a view besides points and paths: scales of the points by name, offset of displayed
+    coordinates (3,), the names of the axes, images (name, place (3,), picture as data URI or ""), north."""
 
     scales: dict[str, Scale] = field(default_factory=dict)
     offset: Sequence[float] = (0.0, 0.0, 0.0)
@@ -228,7 +228,7 @@ def viewer_data(
     step = max(float((points - low).max()), 1e-9) / 65535
     scales = {t("height"): Scale(points[:, 2] + extras.offset[2])}
     scales |= {n: replace(s, values=s.values[keep]) for n, s in extras.scales.items()}
-    middle = np.median(points, axis=0)  # what the view shows first, and how far most points reach from it
+    middle = np.median(points, axis=0)  # centre of the first view, and its distance to most points
     reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.85))
     return {
         "count": len(points),

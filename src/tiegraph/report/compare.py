@@ -20,7 +20,7 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS
 
 _SFM = ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef")
-_TIMES: dict[str, tuple[str, ...]] = {  # row -> the stages it adds up; names as in paper 000 table 1, 001 table 5
+_TIMES: dict[str, tuple[str, ...]] = {  # row -> its stages; names as in paper 000 table 1, 001 table 5
     "Mask image creation": ("masks", "refine"),
     "Matching search": ("preview", "candidates", "coarse", "network"),
     "Matching list creation": ("design",),
@@ -68,13 +68,13 @@ def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
     """Text for the terminal of two or more run folders side by side; with ``html`` also one self-contained page.
 
     With two runs a column gives first / second. Raises InputError for fewer than two folders, one without a run, or a
-    file ``html`` that is there and no comparison.
+    file ``html`` that exists and is no comparison.
     """
     comparison = compared(folders)
     if html is not None:
         ours = html.is_file() and _MADE_BY in html.read_bytes()[:1000]
         if os.path.lexists(html) and not ours:
-            raise InputError(f"--html {html} is there, and tiegraph compare did not write it: give a new file")
+            raise InputError(f"--html {html} exists, and tiegraph compare did not write it: give a new file")
         try:
             with replacing(html) as temporary:
                 temporary.write_text(to_html(comparison), encoding="utf-8")
@@ -152,7 +152,7 @@ def _errors(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
 
 
 def _notes(runs: Sequence[RunFolder]) -> list[str]:
-    """What keeps the columns from being compared as they stand."""
+    """Reasons against a direct comparison of the columns."""
     out = []
     scenes = [set(r.scene.names) for r in runs if r.scene is not None]
     if any(s != scenes[0] for s in scenes):

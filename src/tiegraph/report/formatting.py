@@ -1,4 +1,4 @@
-"""Numbers in words a surveyor reads: units, sensible digits, spaces between thousands."""
+"""Numbers in the notation of surveyors: units, sensible digits, spaces between thousands."""
 
 import math
 import re
@@ -88,7 +88,7 @@ def size(value: Any) -> str:
 
 def table(data: Any, title: str = "", key: str = "") -> Table | None:
     """A Table from {"columns": [..], "rows": [[..], ..]}; None if it is not one or has no rows. ``key``: numbers are
-    marked with it, their row and their column, so that they can be held against their source."""
+    marked with it, their row and their column, so that they can be compared with their source."""
     if not isinstance(data, dict) or not data.get("rows") or not data.get("columns"):
         return None
     heads = [str(c).replace("_", " ") for c in data["columns"]]
@@ -125,7 +125,7 @@ def _column(values: Sequence[Any]) -> list[str]:
 
 
 def without_folders(text: str) -> str:
-    """A text with absolute paths by their last name: where a file lies on the maker's machine is nobody's."""
+    """A text with absolute paths reduced to their last name: folders of the maker's machine are private."""
     return _FOLDERS.sub("", text)
 
 

@@ -1,4 +1,4 @@
-"""report.html: one self-contained file made of receipts and artefacts only, for the client first, then the engineer.
+"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer.
 
 report.json: the report for programs, as ``report.schema.json`` describes it; English, figures in metres."""
 
@@ -38,18 +38,18 @@ _WORDS = {
     "accuracy in the world": "how far a point may be from its true coordinates; what holds the survey there is named",
     "accuracy in shape": "how far parts may be off each other, wherever the survey as a whole stands",
     "accuracy of a point": "how far a point may be off its neighbours: the noise of a surface",
-    "predicted": "one standard deviation, by the run's own account: about two thirds of the errors are smaller",
-    "measured": "root mean square of the differences from what the run did not know, or had held back",
+    "predicted": "one standard deviation, by the run itself: about two thirds of the errors are smaller",
+    "measured": "root mean square of the differences from references that the run did not use",
     "sigma": "standard deviation",
     "camera": "one lens with its sensor",
     "rig": "cameras that are mounted together and fire together",
     "frame": "the images that a rig takes at one instant",
     "pass": "a sequence of frames along one path",
     "section": "a part of the survey under a bridge or under open sky",
-    "registered": "an image whose place and direction are borne out by points that it sees",
-    "placed by the rig": "an image whose place follows from the other cameras of its rig, without points of its own",
+    "registered": "an image whose pose is confirmed by points that it sees",
+    "placed by the rig": "an image whose pose follows from the other cameras of its rig, without points of its own",
     "tie": "two images in which the same points were found and verified",
-    "weak link": "a tie whose loss would part the survey",
+    "weak link": "a tie whose loss would disconnect the survey",
     "candidate": "two images that may see the same surface",
     "mask": "the part of an image that is not used: sky, water, the vehicle, what moves",
     "prior pose": "position or direction known before the images were used: GNSS, EXIF, odometry",
@@ -57,8 +57,8 @@ _WORDS = {
     "reprojection error": "how far a point falls from where it was seen in an image, in pixels",
     "georeferencing": "placing the model in coordinates of the Earth",
     "lever arm": "vector from the camera to the antenna, or between two cameras",
-    "check point": "a surveyed point that the adjustment did not use: it measures",
-    "control point": "a surveyed point that the adjustment used: it holds",
+    "check point": "a surveyed point that the adjustment did not use: it tests the result",
+    "control point": "a surveyed point that the adjustment used",
     "held-out position": "a given position that a fit did not use and is then compared with",
     "dense cloud": "points of the surface from every pixel that several images agree on",
     "pixel on the surface": "ground sampling distance: size of one pixel at the distance of the surface",
@@ -66,16 +66,16 @@ _WORDS = {
     "M3C2": "distance of two clouds along the normal of the surface",
     "completeness": "share of the reference's points that have a point of the cloud nearby",
     "F-score": "mean (harmonic) of accuracy and completeness at a distance",
-    "CRS": "coordinate reference system: what the coordinates count from",
+    "CRS": "coordinate reference system: the reference of the coordinates",
 }
 FORMAT = 1
 
 
 def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
-    """Write ``folder/report.html`` and ``report.json`` from what the folder holds; stages that have not run are left
-    out.
+    """Write ``folder/report.html`` and ``report.json`` from the contents of the folder; stages that have not run are
+    left out.
 
-    ``planned``: what was planned beside what was reached. Raises InputError if the folder holds no run, TiegraphError
+    ``planned``: planned and reached values. Raises InputError if the folder contains no run, TiegraphError
     if the disk is full.
     """
     run = read_run(folder, VIEW_POINTS)
@@ -117,8 +117,8 @@ def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table |
 
 
 def environment() -> jinja2.Environment:
-    """Templates of this package, everything escaped, also what acts without being seen (``text.printable``), and paths
-    of the maker's machine by their last name."""
+    """Templates of this package, everything escaped, also invisible characters (``text.printable``), and paths
+    of the maker's machine reduced to their last name."""
     made = jinja2.Environment(
         loader=jinja2.PackageLoader("tiegraph.report", "."),
         autoescape=True,
@@ -137,7 +137,7 @@ def _shown(value: str) -> str:
 
 
 def _how_sure(run: RunFolder) -> dict[str, Any]:
-    """Every accuracy with what it does not prove, what each source says by itself, and what nothing tells."""
+    """Every accuracy with what it does not prove, the statement of each source, and unknown values."""
     out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run), "without": []}
     if run.accuracy is None:
         return out | {"passes": {"table": None, "map": None}}
@@ -276,7 +276,7 @@ def _lenses(model: Model) -> list[tuple[Markup, str]]:
 
 
 def _residuals(run: RunFolder) -> Markup | None:
-    """The fit of the frames to their positions, a panel a component; outliers in red."""
+    """The fit of the frames to their positions, a panel for each component; outliers in red."""
     rows = [r for r in (run.world or {}).get("frames") or [] if isinstance(r, dict) and _three(r.get("residual_m"))]
     scene = run.scene
     if scene is None or len(rows) < 2:
@@ -326,7 +326,7 @@ def json_text(run: RunFolder, settings: ReportSettings) -> str:
 
 
 def content(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    """What the file holds; texts may be Markup and figures NaN."""
+    """The content of the file; texts may be Markup and figures NaN."""
     verdict, metrics, world = summary.verdict(run), run.metrics or {}, run.world or {}
     seen = spatial.scenery(run)
     at, stages = middle(run, seen), summary.stage_rows(run)

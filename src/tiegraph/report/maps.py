@@ -1,4 +1,4 @@
-"""Maps: where the cameras went over the cloud from above, which frames are missing, with scale bar and north; overlap;
+"""Maps: the paths of the cameras over the cloud from above, missing frames, with scale bar and north; overlap;
 error ellipses.
 """
 
@@ -17,15 +17,15 @@ from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.text import round_below
 
 _PIXELS = 560  # of the backdrop's width
-_SAMPLE, _STRAYS = 100_000, 0.03  # points that tell the extent of the surface; share of them that may lie beyond it
-_FAR = 1.5  # times the size of the passes: surface further from them is not shown
+_SAMPLE, _STRAYS = 100_000, 0.03  # points for the extent of the surface; share of them that may lie beyond it
+_FAR = 1.5  # times the size of the passes: surface farther from them is not shown
 _TALLEST, _FLATTEST = 1.15, 0.45  # height over width of a map
 
 
 @dataclass(frozen=True)
 class Track:
-    """A pass on the map: name, positions (T, 3) of its frames in order (NaN = not registered), and where the missing
-    ones probably are (M, 3)."""
+    """A pass on the map: name, positions (T, 3) of its frames in order (NaN = not registered), and the probable
+    positions of the missing ones (M, 3)."""
 
     name: str
     positions: np.ndarray
@@ -81,8 +81,8 @@ class Place:
 
 
 def place_of(tracks: Sequence[Track], gnss: np.ndarray, surface: np.ndarray, unit: str) -> Place:
-    """What a map of these passes shows: them, their surroundings, and most of the surface (K, 2+) that they survey, as
-    far as it is not far off; neither too tall nor too flat."""
+    """The extent of a map of these passes: them, their surroundings, and most of the surface (K, 2+) that they survey,
+    if it is near; neither too tall nor too flat."""
     way = np.concatenate([np.zeros((0, 3)), *(at for track in tracks for at in (track.seen, track.missing))])
     way = (way if len(way) else gnss if len(gnss) else np.zeros((1, 3)))[:, :2]
     low, high = way.min(axis=0), way.max(axis=0)
@@ -103,7 +103,7 @@ def survey_map(
     place: Place, tracks: Sequence[Track], gnss: np.ndarray, backdrop: str, north: bool, ellipses: Sequence[str] = ()
 ) -> Markup:
     """The passes over a backdrop (data URI, "" for none), missing frames and given positions, scale bar, north arrow
-    (``north``: up is north), and what else is drawn on it."""
+    (``north``: up is north), and further drawings."""
     parts = [dots(place.at(gnss), "var(--soft)", 2.5)]
     for k, track in enumerate(tracks):
         at = place.at(track.positions[:, :2])
@@ -126,15 +126,15 @@ def survey_map(
 def drawn_map(
     place: Place, uri: str, key: Sequence[tuple[str, str]], label: str, north: bool, parts: Iterable[str] = ()
 ) -> Markup:
-    """A picture with what is drawn on it, key, scale bar and north arrow."""
+    """A picture with drawings, key, scale bar and north arrow."""
     drawn, height = legend(key, place.height + 18)
     below = clipped(place.height, [picture(uri, 0, WIDTH, place.height), *parts])
     return svg(height, [below, _scale_bar(place), _north_arrow() if north else "", drawn], label)
 
 
 def raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int = _PIXELS) -> str:
-    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI, clear where there are none; the last point of
-    a pixel is seen."""
+    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI, transparent elsewhere; the last point of
+    a pixel is visible."""
     inside, cell, size = _cells(place, xy, pixels)
     out = np.zeros((size[1] * size[0], 4), np.uint8)
     out[cell] = np.column_stack([rgb[inside], np.full(len(cell), 255)])
@@ -159,7 +159,7 @@ def _cells(place: Place, xy: np.ndarray, pixels: int) -> tuple[np.ndarray, np.nd
 
 
 def ellipse(place: Place, centre: np.ndarray, covariance: np.ndarray, factor: float) -> str:
-    """One standard deviation of a place, covariance (2, 2) in the plane, enlarged."""
+    """One standard deviation of a position, covariance (2, 2) in the plane, enlarged."""
     values, axes = np.linalg.eigh(covariance)
     (x, y), (a, b) = place.at(centre[None, :2])[0], np.sqrt(np.clip(values, 0, None)) * place.zoom * factor
     turn = -math.degrees(math.atan2(axes[1, 1], axes[0, 1]))

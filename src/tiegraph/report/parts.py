@@ -1,5 +1,5 @@
-"""Parts of the engineer's page: which images tie to which (pictures in the order a reader asks, one sentence each);
-references; the rig, its cameras as adjusted and along the run; time and memory, settings, versions.
+"""Parts of the engineer's page: the ties between images (pictures in the order of a reader's questions, one sentence
+each); references; the rig, its cameras as adjusted and along the run; time and memory, settings, versions.
 """
 
 import re
@@ -26,22 +26,22 @@ _TITLES = {
     "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
     "match": "Matching", "filter": "View-graph filtering",
 }  # fmt: skip
-# Pictures of the network folder in the order they are shown; the first word found in the file's name decides.
+# Pictures of the network folder in order of display; the first word found in the file's name decides.
 _CAPTIONS = {
     "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
     "was dropped.",
-    "map": "The tie graph on the map, by kind of tie, before the design: every pair that is thought to share surface.",
+    "map": "The tie graph on the map, by kind of tie, before the design: every pair that is expected to share surface.",
     "design": "The ties that the design chose to match: thick bundles hold the survey together, a red line is a place "
-    "that hangs on one link.",
+    "with only one link.",
     "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
-    "rows of the table of places to go to again.",
-    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
-    "is the offset the pair range is laid around; a flat curve means the two never see the same place.",
-    "section": "What the upward camera sees along the way, and the bridge and open sections cut from it.",
+    "rows of the table of places to revisit.",
+    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. The pair "
+    "range is centred on a clear peak; a flat curve means the two never see the same place.",
+    "section": "View of the upward camera along the path, and the bridge and open sections derived from it.",
     "funnel": "How many pairs of images each filter of the network left.",
 }
-_WEAK_LINKS = "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is lost."
-_SOUND = "No weak links: no place hangs on a single tie or frame."
+_WEAK_LINKS = "Weak links: places where the survey is disconnected, or weakly connected, if one tie or frame is lost."
+_SOUND = "No weak links: no place depends on a single tie or frame."
 
 
 def network_part(run: RunFolder) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def _title(stage: str) -> str:
 
 
 def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
-    """(data URI, caption) of the pictures that the network stage and the design left."""
+    """(data URI, caption) of the pictures of the network stage and the design."""
     found, order = [], list(_CAPTIONS)
     for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
         title = path.stem.replace("curve", "offset")
@@ -102,12 +102,12 @@ def _funnel_table(rows: list[tuple[str, int, str]], images: int) -> formatting.T
 # --- references -----------------------------------------------------------------------------------------------------
 
 
-PASSES = "one pass against the other, M3C2"  # a table that stands where it is said how sure one can be
+PASSES = "one pass against the other, M3C2"  # a table shown in the section on accuracy
 _AGAINST = "cloud against reference"
 
 
 def passes_part(run: RunFolder) -> dict[str, Any]:
-    """How well the clouds of two passes agree: table and map; both None where they were not compared."""
+    """Agreement of the clouds of two passes: table and map; both None if they were not compared."""
     data = ((run.metrics or {}).get("tables") or {}).get(PASSES)
     if not isinstance(data, dict):
         return {"table": None, "map": None}
@@ -116,7 +116,7 @@ def passes_part(run: RunFolder) -> dict[str, Any]:
 
 
 def evaluation(run: RunFolder) -> dict[str, Any]:
-    """What metrics.json holds beside the layers of accuracy."""
+    """The content of metrics.json besides the layers of accuracy."""
     data = run.metrics or {}
     metrics = [m for m in data.get("metrics") or [] if isinstance(m, dict) and "name" in m]
     rows = tuple((said(t(metric_text(str(m["name"])))), *_value(run, m)) for m in metrics)
@@ -147,8 +147,8 @@ def _shares(rows: list[list[float]]) -> Markup:
 
 
 def _value(run: RunFolder, metric: dict) -> tuple[Markup, str]:
-    """A figure, marked, and its unit: of lengths the one that reads best, inside a model that nothing told the scale
-    of the model's."""
+    """A figure, marked, and its unit: for lengths the most readable one, in a model without scale
+    the model's."""
     value, key, unit = metric.get("value"), f"metrics.{metric['name']}", metric.get("unit") or ""
     if unit == "m" and str(metric["name"]).startswith(("backprojection", "passes")) and not run.metric:
         unit = t("units")
@@ -193,7 +193,7 @@ def metric_text(name: str) -> str:
 
 
 def rig_table(run: RunFolder) -> Table | None:
-    """Cameras: model, focal length, place on the rig as refined, and how far that is from the nominal one."""
+    """Cameras: model, focal length, pose in the rig as refined, and its distance from the nominal one."""
     if run.scene is None or run.model is None:
         return None
     unit, factor = ("mm", 1000) if run.metric else ("units", 1)
@@ -223,7 +223,7 @@ def effort(run: RunFolder) -> dict[str, Any]:
     """Charts and table of the stages, settings of each, versions."""
     rows, body, times, memory = summary.stage_rows(run), [], [], []
     for stage, wall, cpu, peak in rows:
-        whole = {k: v for k, v in run.counts(stage).items() if isinstance(v, int)}  # what is none stands elsewhere
+        whole = {k: v for k, v in run.counts(stage).items() if isinstance(v, int)}  # others are shown elsewhere
         text = t(", ").join(_counted(v, str(k).replace("_", " ")) for k, v in whole.items())
         wall_s, cpu_s, mib = formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak)
         body.append((stage, wall_s, cpu_s, mib, text))
@@ -246,7 +246,7 @@ def effort(run: RunFolder) -> dict[str, Any]:
 
 
 def _counted(amount: int, things: str) -> str:
-    """ "1 section", "2 sections"; what is counted has its name in the plural."""
+    """ "1 section", "2 sections"; the name is given in the plural."""
     word = said(things)
     if word != things:
         return f"{word} {formatting.count(amount)}"
@@ -254,7 +254,7 @@ def _counted(amount: int, things: str) -> str:
 
 
 def _named(value: Any) -> Any:
-    """A setting that is a path by the name of what it names: where it lies on the maker's machine is nobody's."""
+    """A setting that is a path reduced to its last name: folders of the maker's machine are private."""
     return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
 
 

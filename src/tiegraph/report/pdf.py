@@ -1,4 +1,4 @@
-"""report.pdf: the page printed by a browser without a window, for nothing else lays it out as it is read."""
+"""report.pdf: the page printed by a headless browser, because nothing else lays it out as it is read."""
 
 import os
 import shutil
@@ -28,11 +28,11 @@ def find_browser() -> str:
 def print_pdf(page: Path, target: Path) -> None:
     """Write ``target`` as the browser prints ``page``.
 
-    Raises EngineMissing without a browser or if it prints nothing, InputError if ``target`` is there and is no PDF.
+    Raises EngineMissing without a browser or if it prints nothing, InputError if ``target`` exists and is no PDF.
     """
     browser = find_browser()
     if target.exists() and (not target.is_file() or target.read_bytes()[:4] != _BEGIN):
-        raise InputError(f"{target} is there and is no PDF: move it away, and run the same again")
+        raise InputError(f"{target} exists and is no PDF: move it away, and run the same again")
     with scratch_folder() as scratch, replacing(target) as temporary:
         made = scratch / "report.pdf"
         command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={scratch}/profile"]

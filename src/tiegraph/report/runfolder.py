@@ -1,7 +1,7 @@
-"""What a run folder holds, read as far as it is there: a report of a run that stopped early must work too.
+"""The contents of a run folder, as far as they exist: a report of a run that stopped early must work too.
 
-And what the images observe, sampled from a sparse model: how far its points are, how small a pixel is, what the lens
-leaves of the residuals."""
+Also observations sampled from a sparse model: distances of its points, size of a pixel, and residuals of
+the lens."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STAGES = (
 )  # fmt: skip
 _ASKED = 60  # observations of an image
 _CELLS = 12  # across the longer side of an image
-_FEW = 5  # residuals of a cell that say nothing
+_FEW = 5  # a cell with fewer residuals is ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Model:
     reconstruction: Any
     scene: Scene
     world_from_camera: np.ndarray  # (N, 4, 4)
-    images: Registration  # which are registered, which only their rig places
+    images: Registration  # which are registered, and which only have a pose by their rig
     others: tuple[int, ...] = ()
 
     @property
@@ -62,7 +62,7 @@ class Model:
 
     @property
     def registered(self) -> np.ndarray:
-        """(N,) bool: sees points that agree."""
+        """(N,) bool: sees points with small residuals."""
         return self.images.registered
 
     @property
@@ -87,7 +87,7 @@ class Model:
 
     @cached_property
     def observed(self) -> Observed:
-        """What the images observe."""
+        """The observations of the images."""
         return observed(self.reconstruction, self.scene)
 
     @cached_property
@@ -114,7 +114,7 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class CloudSample:
-    """A sample of a point cloud file and what holds for the whole."""
+    """A sample of a point cloud file and values of the whole."""
 
     name: str
     count: int
@@ -127,12 +127,12 @@ class CloudSample:
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The artefacts of a run; None or empty where a stage has not made them."""
+    """The artefacts of a run; None or empty if a stage has not made them."""
 
     path: Path
     receipts: dict[str, dict]
     scene: Scene | None = None  # rig checked and sections cut, if `network` has run
-    scanned: Scene | None = None  # as the scan found it: the rig as given
+    scanned: Scene | None = None  # after the scan: the rig as given
     network: Pairs | None = None
     pairs: Pairs | None = None
     world: dict | None = None
@@ -155,7 +155,7 @@ class RunFolder:
         return found if isinstance(found, dict) else {}
 
     def dropped(self, stage: str) -> list[tuple[str, str]]:
-        """(name, reason) of what a stage left out."""
+        """(name, reason) of the items that a stage left out."""
         found = self.receipts.get(stage, {}).get("dropped")
         rows = found if isinstance(found, list) else []
         return [(str(r[0]), str(r[1])) for r in rows if isinstance(r, (list, tuple)) and len(r) >= 2]
@@ -167,7 +167,7 @@ class RunFolder:
 
     @cached_property
     def hung(self) -> tuple[tuple[str, bool], ...]:
-        """Names of the images that hang on their rig, and whether each has a pose."""
+        """Names of the images with poses by their rig, and whether each has a pose."""
         whole = _try(self.path / "whole.json", _scene)
         if whole is None or self.scene is None:
             return ()
@@ -181,7 +181,7 @@ class RunFolder:
 
     @property
     def shift(self) -> np.ndarray:
-        """(3,) what is added to coordinates of the world for those of the CRS."""
+        """(3,) offset from coordinates of the world to those of the CRS."""
         return np.array((self.world or {}).get("shift_m") or (0.0, 0.0, 0.0), float)
 
     @property
@@ -202,7 +202,7 @@ class RunFolder:
 
 
 def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
-    """Everything a report needs. Raises InputError if the folder holds no run."""
+    """All data of a report. Raises InputError if the folder contains no run."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such run folder; give a folder made by `tiegraph run`")
     receipts = {s: r for s in STAGES if (r := _json(folder / "receipts" / f"{s}.json"))}
@@ -239,7 +239,7 @@ def _json(path: Path) -> dict:
 
 
 def _try(path: Path, read: Callable[[Path], T]) -> T | None:
-    """What ``read`` makes of a file; None if it is missing or damaged (then the log says so)."""
+    """The result of ``read`` for a file; None if it is missing or damaged (with a line in the log)."""
     if not path.exists():
         return None
     try:
@@ -250,13 +250,13 @@ def _try(path: Path, read: Callable[[Path], T]) -> T | None:
 
 
 def read_pairs(path: Path) -> Pairs | None:
-    """The pair table of an npz file; None if it holds something else."""
+    """The pair table of an npz file; None for other contents."""
     with np.load(path) as data:
         return Pairs.from_npz(dict(data)) if set(Pairs.columns()) <= set(data.files) else None
 
 
 def _registered_by(receipts: dict[str, dict]) -> RegisteredTuning:
-    """What the run itself calls registered: its receipt names the constants that differ."""
+    """The run's own definition of registered: its receipt names the constants that differ."""
     said = (receipts.get("sparse", {}).get("tuning") or {}).get("scene") or {}
     try:
         return SceneTuning.model_validate(said).registered
@@ -319,7 +319,7 @@ def read_cloud_sample(path: Path, most: int) -> CloudSample:
 
 
 def _in_world(cloud: CloudSample, run: RunFolder) -> CloudSample:
-    """The cloud with the recorded shift taken off if it was written in full CRS coordinates."""
+    """The cloud with the recorded shift subtracted if it was written in full CRS coordinates."""
     if not len(cloud.xyz) or not run.shift.any():
         return cloud
     middle, model = np.median(cloud.xyz, axis=0), run.model
@@ -375,7 +375,7 @@ def observed(model: Any, scene: Scene) -> Observed:
 
 
 def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) -> LensResiduals:
-    """Mean residuals cell by cell; each is held to the middle nine tenths, for one wrong match outweighs many."""
+    """Mean residuals cell by cell; each is clipped to the middle nine tenths: one wrong match outweighs many."""
     xy, off = (np.concatenate(parts) for parts in zip(*found))
     good = np.isfinite(off).all(axis=1)
     xy, off = xy[good], off[good]

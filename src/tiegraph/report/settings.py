@@ -8,10 +8,10 @@ from tiegraph.settings import Section
 
 
 class About(Section):
-    """Who and what a report is for: the fields of its first page, empty ones are lines to write on."""
+    """Client, project and people of a report: the fields of its first page; empty ones are lines to write on."""
 
     client: str = ""
-    """For whom the survey was made."""
+    """The client of the survey."""
 
     project: str = ""
     """Name or number of the project."""
@@ -20,7 +20,7 @@ class About(Section):
     """Cameras, vessel or vehicle, receiver."""
 
     surveyor: str = ""
-    """Who answers for the survey; the name stands below the line of the signature."""
+    """Person responsible for the survey; the name is below the line of the signature."""
 
 
 class ReportSettings(Section):

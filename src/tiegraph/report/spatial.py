@@ -1,4 +1,4 @@
-"""Everything of the report that lies in space: maps, static views of the cloud, the interactive view."""
+"""Spatial parts of the report: maps, static views of the cloud, the interactive view."""
 
 import json
 import logging
@@ -26,7 +26,7 @@ from tiegraph.text import round_below
 
 log = logging.getLogger(__name__)
 _MOST = 1_000_000  # points of a file that are read
-_NEAR = 3.0  # a point has the value of a measured one this near, in spacings of these
+_NEAR = 3.0  # a point has the value of a measured one within this distance, in spacings of these
 _FILES = {  # of measured distances: their name in the view, and whether they have a sign
     "evaluate/distances.laz": ("distance to the reference cloud", False),
     "passes/differences.laz": ("one pass against the other", True),
@@ -40,7 +40,7 @@ _OVERLAP = ((2, "#c8442b"), (3, "#e69f00"), (4, "#f0e08c"), (6, "#7fb8d0"), (10,
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """What all maps and views are drawn from, upright: passes, given positions (K, 3), points (N, 3) with colours, and
+    """Common data of all maps and views, upright: passes, given positions (K, 3), points (N, 3) with colours, and
     how many images see each (0 = not known)."""
 
     tracks: list[maps.Track]
@@ -54,7 +54,7 @@ class Scenery:
 
     @property
     def place(self) -> maps.Place:
-        """What the maps show."""
+        """The extent of the maps."""
         return maps.place_of(self.tracks, self.given, self.xyz, self.unit)
 
 
@@ -84,7 +84,7 @@ def scenery(run: RunFolder) -> Scenery | None:
 
 
 def survey_map(seen: Scenery) -> Markup:
-    """Where the survey is: the passes over the cloud from above."""
+    """The survey area: the passes over the cloud from above."""
     place, rising = seen.place, np.argsort(seen.xyz[:, 2], kind="stable")
     colours = shown_colours(seen.xyz, seen.rgb)
     backdrop = maps.raster(place, seen.xyz[rising], colours[rising]) if len(rising) else ""
@@ -92,7 +92,7 @@ def survey_map(seen: Scenery) -> Markup:
 
 
 def overlap_map(seen: Scenery) -> Markup | None:
-    """By how many images the surface is seen, cell by cell; None where the cloud does not say."""
+    """The number of images that see the surface, cell by cell; None if the cloud has none."""
     if not (seen.views > 0).any():
         return None
     place = seen.place
@@ -107,7 +107,7 @@ def overlap_map(seen: Scenery) -> Markup | None:
 
 
 def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
-    """Error ellipses of the placement along the way and how much they are enlarged; None where nothing is known."""
+    """Error ellipses of the placement along the path and their enlargement; None if nothing is known."""
     told = (run.world or {}).get("placement_error")
     if told is None or not len(seen.path):
         return None
@@ -174,7 +174,7 @@ def viewer_extras(run: RunFolder, seen: Scenery, rows: np.ndarray) -> cloudview.
 
 
 def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
-    """What the cloud is."""
+    """Facts about the cloud."""
     c = run.cloud
     if c is None:
         return None
@@ -200,7 +200,7 @@ def points_inside(seen: Scenery) -> np.ndarray:
 
 
 def distance_scales(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
-    """Distances that were measured near points (N, 3) of the world, by name; those of files that are there."""
+    """Distances measured near points (N, 3) of the world, by name; those of existing files."""
     out = {}
     for name, (text, signed) in _FILES.items():
         path = run.path / name

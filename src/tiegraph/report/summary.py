@@ -1,4 +1,4 @@
-"""What the report says in words: the verdict, the numbers at the top, the tables of who is registered."""
+"""The report in words: the verdict, the numbers at the top, the tables of registered images."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
 
 @dataclass(frozen=True)
 class Verdict:
-    """The box at the top: level good, check, doubtful, poor or open; sentences; what contradicts what; warnings."""
+    """The box at the top: level good, check, doubtful, poor or open; sentences; contradictions; warnings."""
 
     level: str
     headline: str
@@ -29,7 +29,7 @@ class Verdict:
 
 
 def verdict(run: RunFolder) -> Verdict:
-    """The result in plain words, from what is there."""
+    """The result in plain words, from the existing data."""
     found = contradictions(run)
     if run.model is None or run.scene is None:
         last = [s for s in STAGES if run.done(s) and s != "report"]
@@ -41,7 +41,7 @@ def verdict(run: RunFolder) -> Verdict:
         level, headline = _level(run, found)
         known = accuracy.sentences(run.accuracy) if run.accuracy is not None else []
         if run.accuracy is None and run.done("georef"):
-            known = [t("How good it is has not been evaluated yet.")]
+            known = [t("Its accuracy has not been evaluated yet.")]
         sentences = [*known, _registered_sentence(run), _world_sentence(run), *georeference_sentences(run.world or {})]
     headline = t(headline, about(found)) if level == "doubtful" else t(headline)
     told = tuple(s for s in sentences if s)
@@ -79,11 +79,11 @@ def _registered_sentence(run: RunFolder) -> str:
     by_rig, (hanging, posed) = int(run.model.by_rig.sum()), run.hanging
     more = rest = ""
     if by_rig:
-        text = "; the place of {} more rests on the rig, for fewer than {} points are seen"
+        text = "; the pose of {} more comes from the rig, because fewer than {} points are seen"
         more = t(text, count(by_rig), run.model.images.min_points)
     if hanging:
-        text = "; {} images of other cameras hang on the rig and have no place, for nothing tells the scale"
-        text = "; {} images of other cameras hang on the rig and stand where it places them" if posed else text
+        text = "; {} images of other cameras have no pose, because the scale is unknown"
+        text = "; {} images of other cameras have poses by the rig" if posed else text
         more += t(text, count(posed or hanging))
     if run.model.others:
         others = ", ".join(map(count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
@@ -122,7 +122,7 @@ def _world_sentence(run: RunFolder) -> str:
 
 
 def source_text(source: Any) -> str:
-    """Where scale or position come from, in words; "" if from nowhere."""
+    """Sources of scale or position, in words; "" if there is none."""
     baselines = "the distances between the rig's cameras"
     names = {"gnss": "the GNSS positions", "exif": "the GPS positions in the images", "trajectory": "the trajectory",
              "rig baseline": baselines, "rig": baselines}  # fmt: skip
@@ -148,7 +148,7 @@ def crs_text(crs: Any, origin: Any = None) -> str:
 
 
 def what_was_done(run: RunFolder) -> list[str]:
-    """What was surveyed and what came of it, in one or two sentences."""
+    """The survey and its results, in one or two sentences."""
     if run.scene is None:
         return []
     passes = len(run.scene.sequences)
@@ -163,7 +163,7 @@ def what_was_done(run: RunFolder) -> list[str]:
 
 
 def tiles(run: RunFolder) -> list[tuple[str, str]]:
-    """(number, label) of what stands at the top."""
+    """(number, label) of the figures at the top."""
     out: list[tuple[str, str]] = [*accuracy.tiles(run.accuracy)] if run.accuracy is not None else []
     if run.scene is not None and run.model is None:
         out.append((count(len(run.scene)), t("images")))
@@ -189,7 +189,7 @@ def metric_values(run: RunFolder) -> dict[str, float]:
 
 
 def registered_tables(run: RunFolder) -> list[Table]:
-    """Registered of all images: a matrix of passes and cameras, and by section; those their rig places beside them."""
+    """Registered of all images: a matrix of passes and cameras, and by section; those posed by their rig beside."""
     if run.scene is None or run.model is None:
         return []
     scene, registered, by_rig = run.scene, run.model.registered, run.model.by_rig
@@ -231,7 +231,7 @@ def stage_rows(run: RunFolder) -> list[tuple[str, float, float, float]]:
 
 
 def georeference_sentences(world: dict[str, Any]) -> list[str]:
-    """In words: what heights count from, the lever arm of the antenna, and whether the model was adjusted."""
+    """In words: the reference of the heights, the lever arm of the antenna, and whether the model was adjusted."""
     out = []
     if world.get("vertical") and world.get("placed"):
         out.append(t("{}.", capital(said(str(world["vertical"])))))

@@ -1,8 +1,8 @@
 """Charts as SVG inside the page: text is the page's text (language, size, light and dark), and a phone can read it.
 
 A chart is 420 units wide with text of 12, so that on a screen of 390 px it is as large as the small print around it.
-Colours are variables of the style sheet. First what charts are drawn with, then the charts of the engineer's part.
-matplotlib is not used: its SVG has fixed colours and needs a font for every language that it lays out.
+Colours are variables of the style sheet. First the drawing elements, then the charts of the engineer's part.
+matplotlib is not used: its SVG has fixed colours and needs a font for every language.
 """
 
 import math
@@ -32,7 +32,7 @@ def text(x: float, y: float, words: object, anchor: str = "start", look: str = "
 
 
 def text_width(words: str) -> float:
-    """About how wide words are, in units of the chart; Japanese letters are wider."""
+    """Approximate width of words, in units of the chart; Japanese letters are wider."""
     return sum(12.0 if ord(c) > 0x2E80 else 6.4 for c in words)
 
 
@@ -72,14 +72,14 @@ def clipped(height: float, parts: Iterable[str]) -> str:
 
 
 def svg(height: float, parts: Iterable[str], label: str) -> Markup:
-    """The chart; ``label``: what it shows, for those who do not see it."""
+    """The chart; ``label``: its description, for those who do not see it."""
     size = f'viewBox="0 0 {WIDTH:g} {height:.0f}"'
     body = "".join(parts)  # every part escapes what it was given
     return Markup(f'<svg class="chart" {size} role="img" aria-label="{escape(printable(label))}">{body}</svg>')
 
 
 def legend(entries: Sequence[tuple[str, str]], top: float) -> tuple[str, float]:
-    """Names with their colours in rows from ``top`` on, and where the next thing may stand."""
+    """Names with their colours in rows from ``top`` on, and the position below them."""
     x, y, parts = 0.0, top, []
     for name, colour in entries:
         wide = text_width(name) + 26
@@ -162,8 +162,8 @@ class Series:
 
 
 def plot(panels: Sequence[tuple[str, Sequence[Series]]], x_label: str, label: str, whole: bool = True) -> Markup:
-    """Panels (name, series), one below the other over one axis and with one legend. Zero is in the middle where values
-    may have both signs; what lies far beyond nearly all others is drawn at the border."""
+    """Panels (name, series), one below the other over one axis and with one legend. Zero is in the middle if values
+    may have both signs; values far beyond nearly all others are drawn at the border."""
     names = dict.fromkeys((s.name, s.colour) for _, series in panels for s in series)
     drawn, y = legend(list(names), 14)
     parts, every = [drawn], np.concatenate([s.x for _, series in panels for s in series])
@@ -183,7 +183,7 @@ def plot(panels: Sequence[tuple[str, Sequence[Series]]], x_label: str, label: st
 
 
 def histogram(values: np.ndarray, few: int, x_label: str, y_label: str) -> Markup:
-    """How many things have how many; what has fewer than ``few`` is red."""
+    """Histogram of counts; items with fewer than ``few`` are red."""
     step = max(1, -(-(int(values.max(initial=1)) + 1) // 40))
     count = np.bincount(values // step, minlength=1)
     most = 1.08 * max(int(count.max(initial=1)), 1)

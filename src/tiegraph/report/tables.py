@@ -1,4 +1,4 @@
-"""Tables, facts and remarks of receipts for the page, each number marked with where it stands in its receipt."""
+"""Tables, facts and remarks of receipts for the page, each number marked with its place in its receipt."""
 
 import re
 from textwrap import shorten
@@ -15,7 +15,7 @@ _HEAD, _HEADS = 70, 3  # letters and number of contradictions in the headline
 
 
 def receipt_tables(run: RunFolder, *stages: str) -> list[formatting.Table]:
-    """The tables of stages, but those that have a place of their own; the funnel is drawn from the pair table."""
+    """The tables of stages, except those shown elsewhere; the funnel is drawn from the pair table."""
     found = (
         formatting.table(data, capital(said(name.replace("_", " "))), f"receipts.{stage}.{name}")
         for stage in stages
@@ -26,7 +26,7 @@ def receipt_tables(run: RunFolder, *stages: str) -> list[formatting.Table]:
 
 
 def section_name(run: RunFolder, number: int) -> str:
-    """The name of a section in words, "bridge 1"; its number where the run does not name it."""
+    """The name of a section in words, "bridge 1"; its number if the run does not name it."""
     told = next((n for n in run.notes("network") if n.startswith("sections: ")), "")
     names = re.findall(r"(\w+ \d+) \(\d+ frames?\)", told)
     if 0 <= number < len(names):
@@ -35,7 +35,7 @@ def section_name(run: RunFolder, number: int) -> str:
 
 
 def with_section_names(run: RunFolder, data: Any) -> Any:
-    """A table whose first column numbers sections, with their names; anything else as it is."""
+    """A table whose first column numbers sections, with their names; any other unchanged."""
     if not isinstance(data, dict) or (data.get("columns") or [""])[0] != "section":
         return data
     rows = [[section_name(run, int(row[0])) if str(row[0]).isdigit() else row[0], *row[1:]] for row in data["rows"]]
@@ -43,14 +43,14 @@ def with_section_names(run: RunFolder, data: Any) -> Any:
 
 
 def contradictions(run: RunFolder) -> tuple[str, ...]:
-    """What contradicts what, of every stage that has finished."""
+    """The contradictions of every finished stage."""
     every = (str(c) for stage in STAGES for c in run.receipts.get(stage, {}).get("contradictions") or [])
     return tuple(dict.fromkeys(every))
 
 
 def about(found: tuple[str, ...]) -> str:
-    """What contradictions are about, for a headline: the words before their first colon that is none of a camera's name
-    ("1: SONY DSC-H300") or figure; "" if none."""
+    """Subjects of contradictions, for a headline: the words before their first colon that is not part of a camera's
+    name ("1: SONY DSC-H300") or figure; "" if none."""
     firsts = (re.split(r"(?<!\d):| differ by", text)[0] for text in found)
     heads = list(dict.fromkeys(said(shorten(first, _HEAD, placeholder=" ...")) for first in firsts))
     return "; ".join(heads[:_HEADS]) + (t(" and {} more", len(heads) - _HEADS) if len(heads) > _HEADS else "")

@@ -10,8 +10,8 @@ from markupsafe import Markup
 from tiegraph.scene.decoding import read_pixels
 
 _WIDTH_PX = 1400  # of a picture of a file
-_IGNORED = "#d2283c"  # what the mask takes out
-CLASSES = (  # by number, as the masks stage writes them: name, colour; what is used by its class may be left out too
+_IGNORED = "#d2283c"  # masked pixels
+CLASSES = (  # by number, as in the masks stage: name, colour; pixels used by their class may be left out too
     ("used", _IGNORED),
     ("sky", "#2a78d6"),
     ("water", "#12a594"),
@@ -36,7 +36,7 @@ def _encoded(rgb: np.ndarray, kind: str, options: list[int]) -> Markup:
 
 
 def _data_uri(data: bytes, kind: str) -> Markup:
-    """Not to be escaped: it may look like a path."""
+    """Not escaped: it may look like a path."""
     return Markup(f"data:image/{kind};base64,{base64.b64encode(data).decode()}")
 
 

@@ -1,4 +1,4 @@
-"""What a user should look at before using the products, in sentences; and every image, whether it is used, and if not
+"""Points to check before using the products, in sentences; and every image, whether it is used, and if not
 why.
 """
 
@@ -16,12 +16,12 @@ from tiegraph.report.texts import many, said, t
 from tiegraph.scene.registered import BY_RIG
 
 _WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
-FEW_TIES = 3  # an image with fewer ties hangs loosely
+FEW_TIES = 3  # an image with fewer ties is weakly connected
 _HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
 
 
 def warnings(run: RunFolder) -> list[str]:
-    """What a user should look at before using the products, the worst first."""
+    """Points to check before using the products, the worst first."""
     return [text for _, text in sorted(_ranked(run), key=lambda row: row[0])]
 
 
@@ -70,13 +70,13 @@ def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:
         of = labels == label
         if label and np.mean(registered[of]) < 0.5:
             by_rig = int(run.model.by_rig[of].sum())
-            more = t("; {} more stand where their rig places them.", by_rig) if by_rig else t(".")
+            more = t("; {} more have poses by their rig.", by_rig) if by_rig else t(".")
             text = "Of {} only {} of {} images are registered{}"
             yield 2, t(text, str(label), int(registered[of].sum()), int(of.sum()), more)
 
 
 def weak_placement(run: RunFolder) -> str:
-    """What of the placement in the world is poorly known, in words; "" if nothing."""
+    """Poorly known components of the placement in the world, in words; "" if none."""
     if run.accuracy is None:
         return ""
     weak = [name for name, limit in _WEAK.items() if run.accuracy.placement.get(name, 0.0) > limit]

@@ -1,24 +1,24 @@
-"""The scan stage: a folder of images, videos or panoramas, and what came with it, become a Scene.
+"""The scan stage: makes a Scene from a folder of images, videos or panoramas and the files that belong to it.
 
-What a user hands over is checked before anything is made or stored (``pipeline.inputs``, ``project.inputs``), the rest
+User inputs are checked before anything is made or stored (``pipeline.inputs``, ``project.inputs``), the rest
 here. Every file of the user passes ``scene.regular`` before it is opened (pipes and devices never end), and a folder
 is searched once whatever links lead back to it. COLMAP models are read by ``scene.colmapmodel.read_model``, which
 compares the records with the size of the file first. Images get names of ours where they are listed
 (``scene.names``): no native library sees a name that is not UTF-8. A table's header says which column is which; the
 order of a quaternion is that of the format or told by the path, never guessed (``scene.posefile``).
 
-Cameras that write into one folder are told apart by the ends of the file names (``bands``): the folder of a sensor is
-then a pattern, ``*_GRE``, and XMP rig relatives give their orientations. The calibration of a single camera is an
+Cameras that write into one folder are distinguished by the ends of the file names (``bands``): the folder of a sensor
+is then a pattern, ``*_GRE``, and XMP rig relatives give their orientations. The calibration of a single camera is an
 input, ``--camera`` (``cameras``). Control points are points and marks, in one table, two tables, or two files.
 
-A position far from the rest is one behind a gap in the sorted distances (``geometry.geodesy.far_from_rest``). A CRS
-whose lengths are off by more than 1 % at the positions is refused.
+A position is far from the rest if it lies behind a gap in the sorted distances (``geometry.geodesy.far_from_rest``).
+A CRS whose lengths are off by more than 1 % at the positions is refused.
 
-Videos become pictures before anything else (``video``), with the time and place of each frame as EXIF (``videotime``,
-``recording``), so that what holds for photographs holds for them. Videos of one rig are told apart by
-the same reading of folders as their pictures and aligned by their motion (``videooffset``). PyAV would decode sound,
+Videos become pictures first (``video``), with the time and place of each frame as EXIF (``videotime``,
+``recording``), so that everything for photographs applies to them. Videos of one rig are distinguished by the same
+reading of folders as their pictures and aligned by their motion (``videooffset``). PyAV would decode sound,
 but its wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives stamps.
 
-An image topic of a ROS bag is a video whose stamps are those of its messages' headers (``bagfilms``): what chooses and
-writes the pictures of videos does it here, and the camera that a bag has for them is a start, as a start model's is.
+An image topic of a ROS bag is a video with the stamps of its messages' headers (``bagfilms``): its pictures are
+chosen and written by the same code, and its camera is an initial value, as that of a start model.
 """

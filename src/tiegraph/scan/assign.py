@@ -1,4 +1,4 @@
-"""Which images can be used, and which sensor and pass each belongs to: by the rig file, a preset, or a guess."""
+"""Which images can be used, and the sensor and pass of each: by the rig file, a preset, or a guess."""
 
 import difflib
 import os
@@ -38,7 +38,7 @@ from tiegraph.text import some
 
 @dataclass(frozen=True)
 class Shot:
-    """One usable image on its way into the scene."""
+    """A usable image before it is in the scene."""
 
     image: int
     rig: int
@@ -55,11 +55,11 @@ class Survey:
     specs: tuple[RigSpec, ...]
     shots: tuple[Shot, ...]
     loose: bool
-    guessed: bool = False  # the order of a sequence: the images have to show it
+    guessed: bool = False  # the order of a sequence: the images must confirm it
 
 
 class Report:
-    """What scan says and leaves out, collected over its steps."""
+    """Notes and dropped images of scan, collected over its steps."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -71,7 +71,7 @@ class Report:
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """Images, or the views that files are cut into: their names, what a look at the files found, and the files;
+    """Images, or the views that files are cut into: their names, probes, and the files;
     parallel."""
 
     names: Sequence[str]
@@ -81,7 +81,7 @@ class ImageFiles:
 
 @dataclass(frozen=True)
 class Usable:
-    """The usable images: their numbers, names and what their probes say; parallel."""
+    """The usable images: their numbers, names and probes; parallel."""
 
     images: tuple[int, ...]
     names: tuple[str, ...]
@@ -89,7 +89,7 @@ class Usable:
     video: bool = False  # pictures of videos, each a sequence however short
 
     def layout(self, settings: ScanSettings) -> str:
-        """The layout that the settings ask for; of videos ``video``, where they ask for none."""
+        """The layout of the settings; for videos ``video``, if the settings give none."""
         return "video" if self.video and settings.layout == "auto" else settings.layout
 
     def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
@@ -102,7 +102,7 @@ def assign(
 ) -> Survey:
     """Rig, sensor and pass of each usable image; ``text``: of a rig.toml that comes from ``rig``, a run folder.
 
-    Raises InputError for a rig that is wrong or does not fit.
+    Raises InputError for a wrong or unsuitable rig.
     """
     cameras = preset_sizes(rig, tuning.rig) if rig and text is None else ()
     if rig is not None and not cameras:
@@ -112,7 +112,7 @@ def assign(
     layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
-    # Several lenses or focal lengths are several cameras, whatever took them.
+    # Several lenses or focal lengths are several cameras, also in one body.
     lenses = {(p.exif.lens, _millimetres(p.exif)) for p in usable.probes} - {("", "")}
     if layout.folders == ("",) and not layout.order.loose and kind == "auto" and len(lenses) > 1:
         layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
@@ -121,7 +121,7 @@ def assign(
         spec = with_rig_tags(_guessed_rig(layout), layout, exif, report.notes)
         if len(layout.folders) > 1 and not spec.nominal:
             report.notes.append(
-                f"no rig given: how the {len(layout.folders)} cameras stand to each other is unknown and has to come "
+                f"no rig given: the relative poses of the {len(layout.folders)} cameras are unknown and have to come "
                 "from the images; --rig takes a file or ladybug5, ring:N, stereo"
             )
     else:
@@ -185,7 +185,7 @@ def _checked(spec: RigSpec) -> RigSpec:
     if not poses[0] and (any(poses) or spec.axes != "camera"):
         raise InputError(
             f"{spec.file}: the first sensor, {first.name!r}, is the reference and needs an orientation, because "
-            + ("other sensors have one" if any(poses) else f"axes = {spec.axes} says the body frame is not its own")
+            + ("other sensors have one" if any(poses) else f"axes = {spec.axes} is not the sensor's own frame")
         )
     if not poses[0]:
         sensors = (replace(first, body_from_sensor=np.eye(4)), *spec.sensors[1:])
@@ -216,14 +216,14 @@ def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | No
                 continue
             if is_pattern(sensor.folder or ""):
                 raise InputError(
-                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image's name is "
-                    f"so; names here are as {names[0]}. Mend folder, or take the sensor out of the file"
+                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image has such a "
+                    f"name; names here are like {names[0]}. Correct folder, or remove the sensor from the file"
                 )
             near = difflib.get_close_matches(sensor.folder or "", there, n=1)
             hint = f" Perhaps you meant {near[0]!r}?" if near else ""
             raise InputError(
                 f"{file}: sensor {sensor.name!r}: no usable image below a folder {sensor.folder!r}; folders here: "
-                f"{', '.join(there) or 'none'}.{hint} Mend folder, or take the sensor out of the file"
+                f"{', '.join(there) or 'none'}.{hint} Correct folder, or remove the sensor from the file"
             )
 
 
@@ -254,8 +254,8 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
 
 
 def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
-    """Probes with focal lengths that count a digital zoom: where images that differ in it alone have one focal length,
-    EXIF leaves it out."""
+    """Probes without EXIF focal lengths that include a digital zoom: where images that differ only in the zoom have one
+    focal length, EXIF ignores it."""
     keys = [str((e.make, e.model, e.lens, e.focal_mm, e.focal_px)) for e in (p.exif for p in probes)]
     kinds: dict[str, set[float]] = {}
     for key, probe in zip(keys, probes):
@@ -277,7 +277,7 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
     usable, repeated, masks = [], [], masks_among(names)
     if masks:
         report.notes.append(
-            f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: left out "
+            f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: not used as images "
             "(--masks.folder with this folder uses them)"
         )
     twins = _twins(names, probes)
@@ -306,7 +306,7 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
 
 
 def masks_among(names: Sequence[str]) -> dict[str, str]:
-    """The image that each mask beside it is of: a.jpg.png (COLMAP), a_mask.png (OpenDroneMap, Metashape, openMVG),
+    """The image of each mask that lies beside it: a.jpg.png (COLMAP), a_mask.png (OpenDroneMap, Metashape, openMVG),
     a.mask.png (openMVS), dynamic_mask_a.png (instant-ngp)."""
     images = {str(PurePosixPath(n).with_suffix("")): n for n in names} | {n: n for n in names}
     found: dict[str, str] = {}
@@ -347,7 +347,7 @@ def _one_photograph(names: Sequence[str], probes: Sequence[Probe], one: int, oth
 
 
 def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
-    """One note for every two folders of which one repeats files of the other: a pass that was copied."""
+    """One note for every two folders of which one repeats files of the other: a copied pass."""
     heads = Counter(_heads(name, original) for name, original in repeated)
     out = []
     for (copy, original), count in heads.items():
@@ -363,7 +363,7 @@ def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> 
 
 
 def _heads(name: str, other: str) -> tuple[str, str]:
-    """The folders of two files without what they end on alike: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
+    """The folders of two files without their common end: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
     mine, its = (PurePosixPath(n).parent.parts for n in (name, other))
     alike = 0 if mine == its else len(os.path.commonprefix([mine[::-1], its[::-1]]))
     return "/".join(mine[: len(mine) - alike]), "/".join(its[: len(its) - alike])

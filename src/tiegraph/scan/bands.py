@@ -1,7 +1,7 @@
-"""Cameras that write into one folder and say in the file's name which of them it was: the bands of a multispectral rig.
+"""Cameras that write into one folder and mark their files by name: the bands of a multispectral rig.
 
 IMG_180822_133949_0205_GRE.TIF, ..._NIR.TIF (Parrot Sequoia), IMG_0001_1.tif ... _5.tif (MicaSense), ..._MS_RE.TIF
-(DJI). What stands before the last mark is the shot, the mark is the camera; its folder is then written "*_GRE".
+(DJI). The part before the last mark is the shot, the mark is the camera; its folder is then written "*_GRE".
 """
 
 import re
@@ -29,7 +29,7 @@ _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: FramesTuning) -> Layout | None:
     """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
 
-    Marks are names of bands; or numbers, where the files themselves or MicaSense's way of naming say that these are
+    Marks are names of bands; or numbers, if the files or MicaSense's naming show that these are
     cameras: photographs numbered in rows and columns look alike.
     """
     if kind != "auto":
@@ -62,10 +62,10 @@ def _numbered(mark: str, stem: str, name: str, exif: Exif) -> bool:
 
 
 def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: list[str]) -> RigSpec:
-    """A guessed rig with what the files say of it (XMP): which camera is the reference, their names and rotations.
+    """A guessed rig with the values of the files (XMP): which camera is the reference, their names and rotations.
 
-    The bands of one camera head look the same way; where the files say by how much not, that is taken. Cameras in
-    folders of their own get poses only if all of them say so.
+    The bands of one camera head have the same view direction; if the files give the differences, these are used.
+    Cameras in folders of their own get poses only if all files have them.
     """
     tags = {f: [e.rig for e, p in zip(exif, layout.places) if p and p.folder == f] for f in layout.folders}
     angles = {f: Counter(t.relatives_deg for t in found if t.relatives_deg) for f, found in tags.items()}
@@ -80,18 +80,16 @@ def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: li
         for s in ordered
     ]
     poses = [rigid(turns[0].T @ turn, np.zeros(3)) for turn in turns]
-    # What their files call the band, else the mark in their names.
+    # The band name in the files, else the mark in their names.
     named = [Counter(t.band for t in tags[s.folder or ""] if t.band).most_common(1) for s in ordered]
     names = [found[0][0] for found in named if found]
     if len(set(names)) < len(ordered):
         marks = [s.name.lstrip("*_") for s in ordered]
         names = [f"band{m}" if m.isdigit() else m for m in marks]
-    how = "they look the same way, nominally"
+    how = "their view directions are nominally the same"
     if told:
-        how = f"how {len(told)} of them are turned is taken from their XMP (RigRelatives)"
+        how = f"the rotations of {len(told)} of them are taken from their XMP (RigRelatives)"
         how += f", in {names[0]}" if reference >= 0 else ""
-    notes.append(
-        f"the {len(ordered)} cameras are one head: {how}; where they stand to each other comes from the images"
-    )
+    notes.append(f"the {len(ordered)} cameras are one head: {how}; their relative positions come from the images")
     sensors = tuple(replace(s, name=n, body_from_sensor=p) for s, n, p in zip(ordered, names, poses))
     return replace(spec, sensors=sensors, nominal=True)

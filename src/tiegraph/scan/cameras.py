@@ -1,8 +1,8 @@
 """The camera of a sensor: given by ``--camera``, a rig file or a start model, from EXIF, from a preset's field of view,
-or guessed and said so.
+or guessed, with a note.
 
-``--camera`` gives a calibration in words, or as a file of the programs that make them.
-``OPENCV,4000x3000,2759.5,2764.2,1520.7,1006.8,0,0,0,0`` is a model and its parameters, both as COLMAP has them, and
+``--camera`` gives a calibration in words, or as a file of calibration software.
+``OPENCV,4000x3000,2759.5,2764.2,1520.7,1006.8,0,0,0,0`` is a model and its parameters, both as in COLMAP, and
 between them, optionally, the size of the images they belong to. Files: those of ``camerafile``, and a rig.toml with one
 camera.
 """
@@ -38,20 +38,20 @@ from tiegraph.text import some
 
 @dataclass(frozen=True)
 class FileFacts:
-    """What the probes say about the images of one sensor."""
+    """The common values of the probes of one sensor's images."""
 
     size: tuple[int, int]  # width, height of most of them, upright if ``upright``
     focal_px: float  # median of EXIF, NaN = none
     upright: bool
     levels: Levels
     loose: bool
-    radius_px: float = float("nan")  # of the circle that a fisheye lens lights of most of them, NaN = none shows
+    radius_px: float = float("nan")  # of the circle that a fisheye lens lights in most of them, NaN = no circle
 
 
 def calibrate(
     spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings, tuning: CameraTuning
 ) -> tuple[pycolmap.Camera, Source | None, str]:
-    """Camera of a sensor's prepared images, how to prepare them, and where the focal length comes from (for people);
+    """Camera of a sensor's prepared images, how to prepare them, and the source of the focal length (for people);
     ``file`` is the rig file, "" for presets and guesses.
 
     Raises InputError if the rig file's camera does not fit the images, if cropping leaves nothing, or if undistortion
@@ -92,7 +92,7 @@ def _file_camera(
     if spec.params is not None and spec.model is not None:
         return _from_params(spec.model, spec.params, spec, facts, spec.at if spec.started else file, tuning)
     model = spec.model or _default_model(spec, facts, settings)
-    fisheye, named = "FISHEYE" in model, Path(file).name  # where it lies on this machine is nobody's
+    fisheye, named = "FISHEYE" in model, Path(file).name  # without the private folders of this machine
     width, height = facts.size
     known = True
     if spec.focal_px is not None:
@@ -118,7 +118,7 @@ def _file_camera(
 
 
 def _guessed(spec: SensorSpec, facts: FileFacts, fisheye: bool, tuning: CameraTuning) -> tuple[float, str]:
-    """Focal length, pixels, of a camera of which nothing tells it, and what it is guessed by."""
+    """Focal length, pixels, of a camera without any information, and the basis of the guess."""
     width = facts.size[0]
     if spec.hfov_deg is not None:
         how = f"focal length from the preset's nominal field of view of {spec.hfov_deg:g} degrees"
@@ -150,7 +150,7 @@ def _from_params(
 
 
 def _scale(spec: SensorSpec, facts: FileFacts, file: str, tuning: CameraTuning) -> float:
-    """Images' width over the width the rig file speaks of."""
+    """Images' width over the width of the rig file."""
     if spec.size is None or spec.size == facts.size:
         return 1.0
     across, down = facts.size[0] / spec.size[0], facts.size[1] / spec.size[1]
@@ -158,7 +158,7 @@ def _scale(spec: SensorSpec, facts: FileFacts, file: str, tuning: CameraTuning) 
         raise InputError(
             f"{file}: the camera of sensor {spec.name!r} is for {spec.size[0]} x {spec.size[1]} images, but its images "
             f"have {facts.size[0]} x {facts.size[1]}: another shape, so the parameters cannot be rescaled. Give the "
-            "parameters of these images, or leave the camera away"
+            "parameters of these images, or omit the camera"
         )
     return across
 
@@ -178,14 +178,15 @@ def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -
     if "fisheye" in words(spec.folder or spec.name) or np.isfinite(facts.radius_px):
         return "OPENCV_FISHEYE"
     # Loose photographs: few images of a camera, so one distortion parameter. Rigs and sequences: wide lenses need two,
-    # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they
-    # trade against the rotations) and bend the model; the final adjustment adds them with priors (sfm.adjustment.lens).
+    # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable and bend
+    # the model, because they correlate with the rotations; the final adjustment adds them with priors
+    # (sfm.adjustment.lens).
     return "SIMPLE_RADIAL" if facts.loose else "RADIAL"
 
 
 WORDS = (
     "give MODEL,parameters as COLMAP names and orders them (such as OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2; the size "
-    f"of the images may be left away), or a file: {PROGRAMS}, or a rig.toml with one camera"
+    f"of the images may be omitted), or a file: {PROGRAMS}, or a rig.toml with one camera"
 )
 _FILES = (".txt", ".bin", ".yaml", ".yml", ".xml", ".json", ".toml")
 
@@ -203,7 +204,7 @@ def read_camera(text: str, tuning: RigTuning) -> SensorSpec:
 
 
 def _sensor(found: FoundCamera, tuning: CameraTuning) -> SensorSpec:
-    """A sensor with the camera, after a look whether a lens can be so."""
+    """A sensor with the camera, if a lens can have these values."""
     check_lens(found, tuning)
     return SensorSpec("camera", model=found.model, size=found.size, params=found.params, at=found.where)
 
@@ -218,7 +219,7 @@ def with_camera(
     notes: list[str],
     tuning: RigTuning,
 ) -> Survey:
-    """The survey with the one camera that the user gave the calibration of; ``sizes`` are those of the images, by rig
+    """The survey with the one camera whose calibration the user gave; ``sizes`` are those of the images, by rig
     and sensor. Raises InputError."""
     if camera is None:
         return survey
@@ -226,10 +227,10 @@ def with_camera(
     r, k = _taker(given, survey, sizes, tuning.camera)
     sensor = survey.specs[r].sensors[k]
     if sensor.params is not None or sensor.focal_px is not None or sensor.hfov_deg is not None:
-        raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: leave one of the two away")
+        raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: omit one of the two")
     if len(sizes) > 1:
-        others = f"{len(sizes) - 1} other cameras keep what EXIF says"
-        notes.append(f"{Path(given.at).name}: taken for {sensor.name}; {others}")
+        others = f"{len(sizes) - 1} other cameras keep the values of EXIF"
+        notes.append(f"{Path(given.at).name}: used for {sensor.name}; {others}")
     fields = ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
     specs = _with_sensor(survey.specs, (r, k), **{name: getattr(given, name) for name in fields})
     specs[r] = replace(specs[r], file=specs[r].file or given.at)
@@ -239,8 +240,8 @@ def with_camera(
 def _taker(
     given: SensorSpec, survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], tuning: CameraTuning
 ) -> tuple[int, int]:
-    """Rig and sensor that take a given camera: the lone one, or that whose images have the shape the calibration is of,
-    for photographs by other cameras keep what EXIF says. Raises InputError if it could be several, or none."""
+    """Rig and sensor of a given camera: the only one, or that whose images have the shape of the calibration;
+    photographs by other cameras keep the values of EXIF. Raises InputError if several or none fit."""
     fits = [key for key, size in sizes.items() if len(sizes) == 1 or _same_shape(given.size, size, tuning)]
     if len(fits) == 1:
         return fits[0]
@@ -261,7 +262,7 @@ def _with_sensor(specs: Sequence[RigSpec], key: tuple[int, int], **changes: Any)
 
 
 def start_cameras(root: Path, by_folder: Mapping[str, FoundCamera], names: Sequence[str]) -> StartModel | None:
-    """The cameras that bags have for the images below some folders of ``root``, as a start model without poses; None if
+    """The cameras of bags for the images below some folders of ``root``, as a start model without poses; None if
     there are none."""
     above = {name: [str(p) for p in PurePosixPath(name).parents] for name in names}
     found = {n: by_folder[f] for n, folders in above.items() for f in folders if f in by_folder}
@@ -272,7 +273,7 @@ def with_start_cameras(
     survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], start: StartModel, notes: list[str],
     names: Sequence[str], tuning: CameraTuning,
 ) -> Survey:  # fmt: skip
-    """The survey with the cameras of a start model where nobody gave one: a start, to be adjusted.
+    """The survey with the cameras of a start model where the user gave none: initial values, to be adjusted.
 
     ``sizes`` as for ``with_camera``; ``names`` of the images' files. Raises InputError for a camera of images of
     another shape.
@@ -307,10 +308,10 @@ def with_start_cameras(
 
 
 def _adjustable(found: FoundCamera, size: tuple[int, int]) -> FoundCamera:
-    """The camera that a perspective one is adjusted from: the RADIAL that is nearest to it over its image.
+    """The camera from which a perspective one is adjusted: the RADIAL that is nearest to it over its image.
 
-    Freed, the second focal length and the terms beyond of other models run off where a survey is straight; what a lens
-    has of them the final adjustment adds, with what is expected of lenses (``sfm.adjustment.lens``).
+    The second focal length and the further terms of other models diverge in straight surveys if they are free; the
+    final adjustment adds them with the priors of common lenses (``sfm.adjustment.lens``).
     """
     width, height = found.size or size
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
@@ -334,7 +335,7 @@ _GRID = 15  # points across an image at which cameras are compared
 
 
 def _middle(cameras: list[FoundCamera], name: str, whose: str, notes: list[str]) -> FoundCamera | None:
-    """The camera of a sensor of those that a model has for its images: the one of the middle focal length, which is
+    """The camera of a sensor from those that a model has for its images: the one of the median focal length, which is
     the first parameter of every model; None if they are of several models or sizes."""
     different = list(dict.fromkeys(cameras))
     if len({(c.model, c.size) for c in different}) > 1:
@@ -344,7 +345,7 @@ def _middle(cameras: list[FoundCamera], name: str, whose: str, notes: list[str])
     if len(order) > 1:
         low, high = order[0].params[0], order[-1].params[0]
         focal = f"focal length {low:.1f} to {high:.1f} px"
-        notes.append(f"{name}: of {len(order)} cameras of {whose} ({focal}) the middle one is taken")
+        notes.append(f"{name}: of {len(order)} cameras of {whose} ({focal}) the one of median focal length is taken")
     return order[len(order) // 2]
 
 

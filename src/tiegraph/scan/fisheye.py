@@ -1,11 +1,11 @@
-"""Fisheye images: what their lens lights, and those that see far aside cut into pinhole views, a rig with one centre.
+"""Fisheye images: the circle that their lens lights, and wide ones cut into pinhole views, a rig with one centre.
 
 COLMAP verifies and registers in the plane before the camera, where an error of a pixel 75 degrees off the axis counts
-15 times, and beyond 90 degrees there is no such plane: the outer half of a 200 degree fisheye ties hardly anything.
+15 times, and beyond 90 degrees there is no such plane: the outer half of a 200 degree fisheye has hardly any ties.
 
-Two lenses back to back are a 360 camera: level views all round, as of a panorama, for below is who carries it. One is
-turned against the other about the camera's upright, so the turn between them tells how it lies in their images. A lens
-without such a partner is cut into views all round its axis.
+Two lenses back to back are a 360 camera: its level views point in all directions, as those of a panorama, because the
+carrier is below. One lens is rotated against the other about the camera's vertical, so their relative rotation gives
+the camera's position in their images. A lens without such a partner is cut into views around its axis.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ from tiegraph.text import some
 
 
 def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTuning) -> Sensor:
-    """A sensor with the circle that its fisheye lens lights, without the blurred rim, if most of its images show one.
+    """A sensor with the circle that its fisheye lens lights, without the blurred rim, if most of its images have one.
 
-    The median over the images, of those circles whose middle cropping leaves.
+    The median over the images of those circles whose centre remains after cropping.
     """
     if not is_fisheye(sensor.camera):
         return sensor
@@ -53,7 +53,7 @@ def into_views(
     rigs: tuple[Rig, ...], survey: Survey, pictures: ImageFiles, settings: ScanSettings, report: Report,
     tuning: LensViewsTuning, level: PanoramaTuning,
 ) -> tuple[tuple[Rig, ...], Survey, ImageFiles]:  # fmt: skip
-    """The survey with views in place of wide fisheye images. Raises InputError if they are asked for and impossible."""
+    """The survey with views instead of wide fisheye images. Raises InputError if they are requested and impossible."""
     cut = {(r, k): _why_not(s, settings, tuning) for r, rig in enumerate(rigs) for k, s in enumerate(rig.sensors)}
     _say(rigs, cut, settings, report, tuning)
     if not any(why == "" for why in cut.values()):
@@ -66,11 +66,11 @@ def into_views(
             views = _views(sensor, *_turns(rig, k, tuning, level)) if cut[r, k] == "" else [sensor]
             places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
             sensors += views
-        # What was measured between two lenses is so between their front views, which have their centres and axes.
+        # A measurement between two lenses also holds between their front views, which have their centres and axes.
         front = {s.name: s.name if s in sensors else f"{s.name}-{_FRONT}" for s in rig.sensors}
         pairs = tuple(replace(p, sensors=(front[p.sensors[0]], front[p.sensors[1]])) for p in rig.pairs)
-        # The views of one lens stand exactly to each other, so the rig is held where its lenses are; where these are
-        # drawn or measured with a sigma, each view has that of its lens.
+        # The views of one lens have exact relative poses, so the rig is held if its lenses are; if these are nominal
+        # or measured with a sigma, each view has that of its lens.
         held = len(rig.sensors) == 1 or rig.fixed or (rig.known() and not rig.nominal and not rig.soft())
         made.append(replace(rig, sensors=tuple(sensors), pairs=pairs, fixed=held))
     shots: list[Shot] = []
@@ -90,7 +90,7 @@ def into_views(
 
 
 def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) -> str | None:
-    """ "" for a sensor whose images are cut into views; why not, where somebody should know; else None."""
+    """ "" for a sensor whose images are cut into views; a reason against it that users should know; else None."""
     camera = sensor.camera
     if settings.fisheye == "whole" or camera is None or not is_fisheye(camera):
         return None
@@ -102,7 +102,7 @@ def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) ->
     if not known:
         return "its lens is not calibrated"
     rough = (sensor.camera_sigma_px or 0.0) > tuning.most_sigma * camera.mean_focal_length()
-    start = f"its calibration is a start (sigma of the focal length above {100 * tuning.most_sigma:g} %)"
+    start = f"its calibration is an initial value (sigma of the focal length above {100 * tuning.most_sigma:g} %)"
     return start if rough and settings.fisheye == "auto" else ""
 
 
@@ -118,10 +118,10 @@ def _say(
         if settings.fisheye == "views":
             raise InputError(
                 f"scan.fisheye = views: {some(names)}: {why}; give its camera in a rig file (that of a run of the "
-                "whole images will do: `tiegraph rig OUT`)"
+                "whole images is enough: `tiegraph rig OUT`)"
             )
         report.notes.append(
-            f"{some(names)}: fisheye images are used whole, which ties little far off their axis, for {why}; with its "
+            f"{some(names)}: fisheye images are used whole, with few ties far off their axis, because {why}; with its "
             "distortion in a rig file (`tiegraph rig OUT` of this run) they are cut into views and used nearly up to 90"
         )
     names = [rigs[r].sensors[k].name for (r, k), why in cut.items() if why == ""]
@@ -137,7 +137,7 @@ _FRONT = "front"
 def _turns(
     rig: Rig, sensor: int, tuning: LensViewsTuning, level: PanoramaTuning
 ) -> tuple[dict[str, np.ndarray], tuple[float, float]]:
-    """Which views a lens is cut into: view_from_lens (3, 3) by name, and what they see across and down, degrees."""
+    """The views that a lens is cut into: view_from_lens (3, 3) by name, and their fields of view, degrees."""
     upright = _upright(rig, sensor, tuning)
     if upright is None:
         off = tuning.reach_deg - tuning.fov_deg / 2
@@ -149,8 +149,8 @@ def _turns(
 
 
 def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | None:
-    """The rotation (3, 3) about its axis that makes a lens' image upright, none or a quarter, by the lens that looks
-    the other way; None if there is none. Of a quarter, which way round is not known."""
+    """The rotation (3, 3) about its axis that makes a lens' image upright, none or a quarter, by the lens in the
+    opposite direction; None if there is none. The sense of a quarter is unknown."""
     mine = rig.sensors[sensor].sensor_from_rig
     for other in rig.sensors:
         if mine is None or other.sensor_from_rig is None or not is_fisheye(other.camera):

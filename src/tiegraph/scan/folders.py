@@ -1,4 +1,4 @@
-"""What the folders mean: which part of an image's path is the camera and which the pass."""
+"""The meaning of the folders: which part of an image's path is the camera and which the pass."""
 
 import os
 import re
@@ -22,7 +22,7 @@ _PASS_WORDS = frozenset(
     "session survey lap section mission media dcim go river".split()
 )
 UP_WORDS = frozenset("up top sky zenith".split())
-# Names that cameras give to single photographs; video frames and industrial cameras count from a plain word or nothing.
+# Names that cameras give to single photographs; video frames and industrial cameras have a plain word or nothing.
 _PHOTO_NAME = re.compile(r"^(img|dsc|dscn|dscf|dji|p|pict|gopr|mvi|sam|_mg|_dsc|photo|cimg|r)_?\d", re.IGNORECASE)
 _GENERIC_WORDS = _CAMERA_WORDS | frozenset("images cameras data photos pictures input jpg jpeg png frames raw".split())
 LONE_PASS = "all"
@@ -30,7 +30,7 @@ LONE_PASS = "all"
 
 @dataclass(frozen=True)
 class Place:
-    """Where an image belongs: sensor folder ("" = none) and pass."""
+    """The place of an image: sensor folder ("" = none) and pass."""
 
     folder: str
     sequence: str
@@ -38,8 +38,8 @@ class Place:
 
 @dataclass(frozen=True)
 class Order:
-    """Whether images are loose photographs, and why (for people); ``guessed``: they are no sequence unless the images
-    themselves show it, which the network asks."""
+    """Whether images are loose photographs, and why (for people); ``guessed``: they are a sequence only if the images
+    show it, which the network tests."""
 
     loose: bool
     why: str
@@ -72,11 +72,11 @@ def words(name: str) -> set[str]:
 
 
 def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place | None]:
-    """Places of images below known sensor folders; a folder "" takes what no other folder takes.
+    """Places of images below known sensor folders; a folder "" takes all images of no other folder.
 
-    A sensor folder may have several levels and stand above or below the pass; the longest and deepest match counts. A
-    pattern such as "*_GRE" stands for the images whose names end so, in any folder; "left_*" for those whose names
-    begin so, with their folders or in any.
+    A sensor folder may have several levels and be above or below the pass; the longest and deepest match counts. A
+    pattern such as "*_GRE" means the images whose names have this end, in any folder; "left_*" those whose names
+    have this beginning, with their folders or in any.
     """
     wanted = sorted((tuple(f.split("/")) for f in folders if f and not is_pattern(f)), key=len, reverse=True)
     patterns = sorted(filter(is_pattern, folders), key=len, reverse=True)
@@ -110,7 +110,7 @@ def _fits(name: str, pattern: str) -> bool:
 
 
 def _besides(name: str, pattern: str) -> tuple[str, ...]:
-    """The folders of an image without those that a pattern names, or begins the names of."""
+    """The folders of an image without those that are part of a pattern."""
     begin = pattern.removesuffix("*")
     if pattern.startswith("*") or not name.startswith(begin):
         return PurePosixPath(name).parts[:-1]
@@ -118,7 +118,7 @@ def _besides(name: str, pattern: str) -> tuple[str, ...]:
 
 
 def shot_stem(name: str, folder: str) -> str:
-    """Stem of an image's file name without the mark of its camera, which a pattern tells."""
+    """Stem of an image's file name without the mark of its camera, by the pattern."""
     stem, mark = PurePosixPath(name).stem, folder[1:].lower()
     if folder.endswith("*"):
         return stem.removeprefix(folder[:-1].rpartition("/")[2])
@@ -132,7 +132,7 @@ def pass_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
 
 
 def _pass_name(parts: tuple[str, ...], common: int) -> str:
-    """Folders of a pass without those that all images share; of a lone pass the last telling one."""
+    """Folders of a pass without those that all images share; for a single pass the last specific one."""
     if parts[common:]:
         return "/".join(parts[common:])
     telling = [p for p in parts if not words(p) & _GENERIC_WORDS]
@@ -153,7 +153,7 @@ def guess_layout(
 ) -> Layout:
     """Reading of a folder tree without a rig file; ``kind`` is ScanSettings.layout.
 
-    ``cameras`` are the numbers of cameras that a preset asks for: a folder level of so many names is preferred.
+    ``cameras`` are the numbers of cameras that a preset allows: a folder level with this many names is preferred.
     """
     paths = [PurePosixPath(n).parts[:-1] for n in names]
     depth, count = Counter(len(p) for p in paths).most_common(1)[0]
@@ -182,7 +182,7 @@ def _by_camera_level(
     cameras: tuple[int, ...],
     tuning: FoldersTuning,
 ) -> tuple[list[Place], str]:
-    """Places of the images ``inside``, none if no level of folders is one of cameras, and why."""
+    """Places of the images ``inside``, None if no level of folders is one of cameras, and why."""
     paths = [PurePosixPath(names[k]).parts[:-1] for k in inside]
     common = _common(paths)
     shots = [(PurePosixPath(names[k]).stem, exif[k]) for k in inside]
@@ -207,9 +207,9 @@ def _camera_level(
         return None, ""
     levels = [sorted({t[k] for t in tails}) for k in range(depth)]
     if kind == "passes":
-        return depth - 1, "camera folders below pass folders, as the layout setting says"
+        return depth - 1, "camera folders below pass folders, by the layout setting"
     if kind == "cameras":
-        return 0, "camera folders at the top, as the layout setting says"
+        return 0, "camera folders at the top, by the layout setting"
     fitting = [k for k in range(depth) if len(levels[k]) in cameras]
     if len(fitting) == 1:
         return fitting[0], f"the folders {_some(levels[fitting[0]])} are as many as the rig has cameras"
@@ -232,7 +232,7 @@ def _camera_level_by_structure(
         groups = [{s: e for t, (s, e) in zip(tails, shots) if t[0] == f} for f in levels[0]]
         shared = set.intersection(*map(set, groups))
         if likeness < 0.5 and len(shared) >= 0.5 * min(map(len, groups)):
-            equal = f"the folders {_some(levels[0])} hold equal file names"
+            equal = f"the folders {_some(levels[0])} have equal file names"
             apart = _apart([[g[s] for s in sorted(shared)] for g in groups], tuning)
             if apart:
                 return None, f"{equal}, but {apart}: no cameras of a rig (if they are, give --scan.layout cameras)"
@@ -242,13 +242,13 @@ def _camera_level_by_structure(
         if len(below) > 1 and len(below[0]) > 1 and all(b == below[0] for b in below):
             return (
                 1,
-                f"each of the folders {_some(levels[0])} holds the folders {_some(levels[1])}",
+                f"each of the folders {_some(levels[0])} has the folders {_some(levels[1])}",
             )
     return None, ""
 
 
 def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
-    """Why images of one name in several folders were not taken together, by EXIF; "" if nothing says so."""
+    """Why EXIF excludes that images of one name in several folders were taken together; "" if it does not."""
     first = groups[0]
     for other in groups[1:]:
         both = [(a, b) for a, b in zip(first, other) if np.isfinite([a.lat_deg, b.lat_deg]).all()]
@@ -259,16 +259,16 @@ def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
             ]
             metres = float(np.median(np.linalg.norm(ends[1] - ends[0], axis=1)))
             if metres > tuning.apart_m:
-                return f"those of one name are {metres:.0f} m apart"
+                return f"images of equal names are {metres:.0f} m apart"
         times = np.array([[a.time_s, b.time_s] for a, b in zip(first, other)])
         times = times[np.isfinite(times).all(axis=1)]
         if len(times):
             between = times[:, 1] - times[:, 0]
             scatter = float(np.median(np.abs(between - np.median(between))))
             if scatter > tuning.apart_s:
-                return f"the time between those of one name differs by {scatter:.0f} s"
+                return f"the time between images of equal names differs by {scatter:.0f} s"
             after = times[:, 0].min() > times[:, 1].max() or times[:, 1].min() > times[:, 0].max()
-            if after and _regular_times(times[:, 0].tolist(), tuning):  # irregular and alike is one trigger, two clocks
+            if after and _regular_times(times[:, 0].tolist(), tuning):  # irregular and equal: one trigger, two clocks
                 return "one folder was taken after the other"
     return ""
 
@@ -287,16 +287,16 @@ def order_of(
 ) -> Order:
     """Whether images of one camera are loose photographs rather than sequences.
 
-    Nothing here proves a sequence but somebody's word: a camera that numbers its pictures and a photographer with a
-    steady hand leave equal steps too.
+    Only the user's statement proves a sequence: a camera that numbers its pictures and a photographer with a steady
+    hand produce equal steps too.
     """
     if kind in ("loose", "sequence", "passes", "cameras"):
         word = "loose photographs" if kind == "loose" else "a sequence of one camera"
-        return Order(kind == "loose", f"{word}, as the layout setting says")
+        return Order(kind == "loose", f"{word}, by the layout setting")
     passes = len({p.sequence for p in places if p})
     if kind == "video":
         return Order(False, f"videos of one camera each, {passes} pass(es)")
-    as_sequence = f"a sequence of one camera in {passes} pass(es), if the images bear it out"
+    as_sequence = f"a sequence of one camera in {passes} pass(es), if the images confirm it"
     if len(names) < tuning.few:
         return Order(True, f"loose photographs: fewer than {tuning.few}, so their order does not matter")
     if len({(e.make, e.model, *s) for e, s in zip(exif, sizes)}) > 1:

@@ -14,7 +14,7 @@ from tiegraph.scan.tuning import FramesTuning
 
 
 def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
-    """The survey with the frame of each image; the report gets second images of a frame."""
+    """The survey with the frame of each image; second images of a frame are dropped in the report."""
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
         groups.setdefault((shot.rig, shot.sequence), []).append(shot)
@@ -40,9 +40,9 @@ def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str
     if how == "number" and asked == "auto":
         report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
     if how == "time":
-        report.notes.append(f"pass {sequence}: images of one frame found by the times that their names are")
+        report.notes.append(f"pass {sequence}: images of one frame found by the times in their names")
     if how == "order":
-        text = f"pass {sequence}: file names do not say which images belong together; taken in the order of names"
+        text = f"pass {sequence}: file names do not show which images belong together; taken in the order of names"
         if len(counts) > 1:
             text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
         report.notes.append(text)
@@ -90,7 +90,7 @@ def match_frames(
 
 
 def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[int, list[str]]:
-    """By sensor the name in the fullest one whose time is nearest, or the image's own where none is near."""
+    """By sensor the nearest name in time in the fullest sensor, or the image's own name if none is near."""
     seconds = {k: np.array([time_in_name(s) for s in names]) for k, names in stems.items()}
     fullest = max(stems, key=lambda k: len(stems[k]))
     order = np.argsort(seconds[fullest])

@@ -1,4 +1,4 @@
-"""From a photograph to the image the other stages read: a link, or turned, cropped, undistorted, made 8-bit."""
+"""From a photograph to the image that the other stages read: a link, or rotated, cropped, undistorted, 8-bit."""
 
 import os
 import shutil
@@ -22,7 +22,7 @@ from tiegraph.scene.panorama import render_view, sphere_of
 from tiegraph.scene.regular import cached_by_file, real_path, regular
 from tiegraph.scene.rig import Sensor, Source
 
-# Formats that OpenCV and COLMAP both read by themselves.
+# Formats that both OpenCV and COLMAP can read.
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
                   "BMP": (".bmp",)}  # fmt: skip
 KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
@@ -31,8 +31,8 @@ KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixe
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 
-    Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes and EXIF-turned images are converted. What is
-    transparent of a file stays so, for ``masks``.
+    Grey and RGB of 8 bits stay unchanged; 16 bits, CMYK, palettes and EXIF-rotated images are converted. Transparent
+    pixels stay transparent, for ``masks``.
     Written atomically. Raises InputError if the file can no longer be read.
     """
     source, target = real_path(source), Path(target)
@@ -46,7 +46,7 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
 
 
 def crop_camera(camera: pycolmap.Camera, left: int, top: int, right: int, bottom: int) -> pycolmap.Camera:
-    """Camera of an image with so many pixels cut off."""
+    """Camera of an image after cropping."""
     out = copy(camera)
     out.width, out.height = camera.width - left - right, camera.height - top - bottom
     out.principal_point_x, out.principal_point_y = camera.principal_point_x - left, camera.principal_point_y - top
@@ -77,7 +77,7 @@ def _changed_pixels(
         raise _gone(path, error) from None
     if how.upright:
         pixels = turned(pixels, file.orientation)
-    # Of two images side by side the one of the lens
+    # The image of this lens, of two side by side
     width = pixels.shape[1] // 2
     pixels = _cropped(pixels if how.part is None else pixels[:, how.part * width : (how.part + 1) * width], how)
     if how.view is not None and sensor.camera is not None:
@@ -144,8 +144,8 @@ def _link(source: Path, target: Path) -> None:
 
 
 def write_pixels(target: Path, pixels: np.ndarray, taken: Taken | None = None) -> None:
-    """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss, and with EXIF that says when and
-    where it was taken. Raises OSError (full disk)."""
+    """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss, with time and place as
+    EXIF. Raises OSError (full disk)."""
     suffix = target.suffix.lower()
     how: dict[str, Any] = {} if taken is None else {"exif": exif_of(taken)}
     if suffix in (".jpg", ".jpeg"):

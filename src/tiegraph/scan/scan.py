@@ -1,4 +1,4 @@
-"""The scan stage: from a folder of images and what came with it to a Scene."""
+"""The scan stage: from a folder of images and further files to a Scene."""
 
 import re
 from collections import Counter
@@ -35,9 +35,9 @@ __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image",
 
 @dataclass(frozen=True)
 class ScanInputs:
-    """What the user gave: the folder of images, and optional rig (file or preset; ``rig_text``: of a rig.toml that
-    stands for it), camera (in words or a file), GNSS, trajectory (a file, or what odometry found) or a model to start
-    from, and times."""
+    """The user's inputs: the folder of images, and optional rig (file or preset; ``rig_text``: of a rig.toml that
+    replaces it), camera (in words or a file), GNSS, trajectory (a file, or odometry) or a start model, and
+    times."""
 
     images: Path
     rig: str | None = None
@@ -48,10 +48,10 @@ class ScanInputs:
     times: Path | None = None
     rig_text: str | None = None
     video: bool = False  # the images are pictures of videos, or of bags
-    cameras: StartModel | None = None  # those that bags have, without poses
+    cameras: StartModel | None = None  # those of bags, without poses
 
     def tells_order(self) -> bool:
-        """Whether somebody knows when each image was taken, so that its neighbours are those in time."""
+        """Whether the time of each image is known, so that its neighbours are those in time."""
         return self.video or isinstance(self.trajectory, Path) or self.times is not None
 
 
@@ -60,7 +60,7 @@ def build_scene(
 ) -> Scene:
     """The scene of a survey from its images' names (as of ``find_images``) and probes (parallel).
 
-    Images that cannot be used go to ``Scene.dropped``. Raises InputError for fewer than two usable images and for rig,
+    Images that cannot be used go to ``Scene.dropped``. Raises InputError for fewer than two usable images and for
     GNSS, trajectory and times files that are wrong or do not fit.
     """
     report, probes = Report(), zoomed(probes)
@@ -279,8 +279,8 @@ def _scene(
 
 
 def safe_names(names: Sequence[str]) -> list[str]:
-    """Names that COLMAP's pair lists and readers take: no blanks, no #, a suffix both libraries know, only characters
-    that are text, no part longer than file systems take with what the stages add to it; unique."""
+    """Names that COLMAP's pair lists and readers take: no blanks, no #, a suffix of both libraries, only printable
+    characters, no part too long for file systems with the additions of the stages; unique."""
     taken: set[str] = set(names)
     out = []
     for name in names:
@@ -319,7 +319,7 @@ def _frame_rows(shots: Sequence[Shot], sequences: tuple[str, ...]) -> tuple[Fram
 def _in_time_order(
     rows: tuple[FrameRow, ...], time_s: np.ndarray, report: Report
 ) -> tuple[tuple[FrameRow, ...], np.ndarray]:
-    """Frames of each pass by time where all times are known and the names say otherwise; else as they are."""
+    """Frames of each pass by time if all times are known and contradict the names; else unchanged."""
     order = np.arange(len(rows))
     for sequence in sorted({r.sequence for r in rows} - {-1}):
         mine = np.array([k for k, r in enumerate(rows) if r.sequence == sequence])

@@ -12,15 +12,15 @@ from tiegraph.settings import Section
 from tiegraph.text import composed
 
 _Px = Annotated[int, Field(ge=0, le=100_000)]
-_Height = Annotated[float, Field(ge=-12_000, le=100_000)]  # from the deepest sea to where space begins
+_Height = Annotated[float, Field(ge=-12_000, le=100_000)]  # from the deepest sea to the edge of space
 
 
 class ScanSettings(Section):
-    """How the folder of images is read: which image belongs to which camera, frame and pass, and where it was taken."""
+    """Reading of the folder of images: camera, frame and pass of each image, and its position."""
 
     layout: Literal["auto", "passes", "cameras", "sequence", "loose"] = "auto"
     """Meaning of the folders: passes = pass/camera/frame, cameras = camera/[pass/]frame, sequence = one camera and a
-    folder a pass, loose = photographs without order; auto guesses and says what it guessed."""
+    folder a pass, loose = photographs without order; auto guesses and reports its guess."""
 
     frames: Literal["auto", "name", "number", "order"] = "auto"
     """Which images of a rig belong to one frame: equal file names, equal last numbers in the names, or equal places in
@@ -41,8 +41,8 @@ class ScanSettings(Section):
     """Standard deviation (m, horizontal) of positions whose file or EXIF gives none; twice that in height."""
 
     heights_m: tuple[_Height, _Height] = HEIGHTS_M
-    """Lowest and highest height (m) that is believed of positions and control points: others are in another unit. Of an
-    aircraft -500 12000, of a deep mine or a dive -11000 500."""
+    """Lowest and highest plausible height (m) of positions and control points: others are in another unit. For an
+    aircraft -500 12000, for a deep mine or a dive -11000 500."""
 
     max_gap_s: float = Field(default=3.0, gt=0, le=3600)
     """Longest gap (s) between two GNSS or trajectory rows across which a frame's position is interpolated."""
@@ -52,8 +52,8 @@ class ScanSettings(Section):
 
     video_offset: tuple[str, ...] = ()
     """Times of videos. cam1=0.35: this video began 0.35 s after that of its rig's first camera (default: by the motion
-    of their pictures), or, of no rig, seconds to add to its times; -7200: seconds to add to those of all videos, or
-    when they began (since 1970) if they do not say; end: their creation times are those of the end."""
+    of their pictures), or, outside a rig, seconds to add to its times; -7200: seconds to add to those of all videos,
+    or their start (since 1970) if they have none; end: their creation times are those of the end."""
 
     crop_px: tuple[_Px, _Px, _Px, _Px] = (0, 0, 0, 0)
     """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
@@ -63,27 +63,27 @@ class ScanSettings(Section):
 
     fisheye: Literal["auto", "views", "whole"] = "auto"
     """Images of fisheye lenses: views = each is cut into five pinhole views with one centre, up to 90 degrees off its
-    axis; whole = as they are; auto = views of calibrated lenses that see more than 150 degrees across."""
+    axis; whole = unchanged; auto = views of calibrated lenses that see more than 150 degrees across."""
 
     @field_validator("video_offset")
     @classmethod
     def _names_and_seconds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        """Refuses words of another form, and what stands there twice."""
+        """Refuses words of another form, and repeated ones."""
         video_offsets(value)
         return value
 
     @field_validator("crs")
     @classmethod
     def _zone_as_code(cls, value: str) -> str:
-        """A UTM zone by its name as the EPSG code that everything else reads; other words as they are."""
+        """A UTM zone by its name as EPSG code, as elsewhere; other words unchanged."""
         zones = utm_by_name(value)
         return zones[0] if len(zones) == 1 else value
 
 
 @dataclass(frozen=True)
 class VideoOffsets:
-    """What ``scan.video_offset`` says: seconds to add to the times of all videos, and by name; whether files give the
-    time of the end."""
+    """The parts of ``scan.video_offset``: seconds to add to the times of all videos, and by name; whether creation
+    times are those of the end."""
 
     all_s: float = 0.0
     by_name: dict[str, float] = field(default_factory=dict)
@@ -92,7 +92,7 @@ class VideoOffsets:
 
 def video_offsets(words: tuple[str, ...]) -> VideoOffsets:
     """``scan.video_offset`` read. Raises ValueError for words of another form."""
-    found: dict[tuple[bool, str], float] = {}  # the key of "end" is that of no name
+    found: dict[tuple[bool, str], float] = {}  # the key of "end" has no name
     for word in words:
         name, equals, number = word.rpartition("=")
         try:

@@ -1,11 +1,11 @@
-"""Files that hold a whole shot each: equirectangular panoramas, and the circles of two fisheye lenses side by side.
+"""Files with a whole shot each: equirectangular panoramas, and the circles of two fisheye lenses side by side.
 
 A panorama becomes one frame of a rig of pinhole views that share its centre.
 
-Two circles in a file, as 360 cameras write them, become a frame of two lenses. Insta360's .insp is such a JPEG. What
-its factory measured of the lenses stands behind the picture (``recording.insta360``): how the lenses are rolled, for
-both lie on their sides in most cameras, and then the second is not turned about its own upright but about the first
-one's horizontal; and in newer cameras their distortion, a start where it fits the circles of the pictures.
+Two circles in a file, as 360 cameras write them, become a frame of two lenses. Insta360's .insp is such a JPEG. The
+factory's calibration of the lenses follows the picture (``recording.insta360``): their rolls, because both are mounted
+sideways in most cameras, and then the second is not rotated about its own vertical but about the first one's
+horizontal; and in newer cameras their distortion, an initial value if it fits the circles of the pictures.
 """
 
 from collections import Counter
@@ -34,7 +34,7 @@ PRESET = "panorama"
 
 
 def _order(survey: Survey) -> str:
-    """How the files are ordered, for people."""
+    """The order of the files, for people."""
     passes = len({s.sequence for s in survey.shots})
     return "in no order" if survey.loose else f"in the order of their names, {passes} pass(es)"
 
@@ -44,8 +44,8 @@ def perspective_views(
 ) -> tuple[Survey, ImageFiles] | None:
     """Views of a survey of panoramas, and their owners; None if it is none.
 
-    Panoramas are noticed where no rig is given and most images are some; ``panorama`` as rig says so. Raises InputError
-    if none of the images is twice as wide as high although the user says they are panoramas.
+    Panoramas are detected if no rig is given and most images are some; the rig ``panorama`` states it. Raises
+    InputError if none of the images is twice as wide as high although the user states panoramas.
     """
     said = (rig or "").strip().lower() == PRESET
     full = [p.sphere is not None and (said or p.sphere.sure) for p in usable.probes]
@@ -67,8 +67,8 @@ def perspective_views(
 def of_one_kind(
     usable: Usable, surely: Sequence[bool], could: Sequence[bool], otherwise: str, report: Report
 ) -> Usable:
-    """The images that are ``surely`` of a kind, and those of their sizes that ``could`` be: it does not show in one
-    taken in the dark. The report gets the others, with the reason ``otherwise``."""
+    """The images that are ``surely`` of a kind, and those of their sizes that ``could`` be: images taken in the dark do
+    not show it. The report gets the others, with the reason ``otherwise``."""
     sizes_px = {(p.width, p.height) for p, sure in zip(usable.probes, surely) if sure}
     kept = [k for k, p in enumerate(usable.probes) if could[k] and (p.width, p.height) in sizes_px]
     report.drop([n for k, n in enumerate(usable.names) if k not in set(kept)], otherwise)
@@ -94,10 +94,10 @@ def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tunin
     )
     if parts:
         report.notes.append(
-            f"{parts} of the panoramas are parts of a sphere, by their tags (GPano) or for the rest is black: what is "
-            f"not in them is masked, and {len(survey.shots) - len(shots)} views that see nothing are left out"
+            f"{parts} of the panoramas are parts of a sphere, by their tags (GPano) or because the rest is black: the "
+            f"missing part is masked, and {len(survey.shots) - len(shots)} views that see nothing are left out"
         )
-    # What is masked of a view is the transparency of its file.
+    # The mask of a view is the transparency of its file.
     names = [n if share[k] == 1 else str(PurePosixPath(n).with_suffix(".png")) for k, n in enumerate(images.names)]
     probes = [
         replace(p, width=columns, height=rows, exif=replace(p.exif, focal_px=float("nan"), orientation=1))
@@ -107,7 +107,7 @@ def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tunin
 
 
 def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> tuple[Survey, ImageFiles]:
-    """The images that the sensors of a rig have of each file, named as it in a folder of the sensor's name, with the
+    """The images of a rig's sensors from each file, named like it in a folder of the sensor's name, with the
     probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
     exif, sizes = usable.facts()
@@ -156,10 +156,10 @@ def two_lenses(
     """The lenses' images of a survey whose files hold two circles each; None if it is none.
 
     ``rig``: a file with two sensors, the left circle's first, cameras and sizes those of half a file; ``text``: of a
-    rig.toml that comes from ``rig``, a run folder. Without, they stand back to back and see what is usual. Raises
+    rig.toml that comes from ``rig``, a run folder. Without, they are back to back with a usual field of view. Raises
     InputError for another rig.
     """
-    if (rig or "").strip().lower() == PRESET:  # the user says they are panoramas
+    if (rig or "").strip().lower() == PRESET:  # the user states panoramas
         return None
     both = [len(p.circles) == len(NAMES) and p.exif.orientation <= 1 for p in usable.probes]
     if 2 * sum(both) <= len(both):
@@ -174,7 +174,7 @@ def two_lenses(
 
 
 def _half(probe: Probe, part: int) -> Probe:
-    """What a look at half a file would have found."""
+    """The probe of half a file."""
     width = probe.width // len(NAMES)
     circles = tuple((x - part * width, y, radius) for x, y, radius in probe.circles[part : part + 1])
     exif = replace(probe.exif, focal_px=float("nan"))
@@ -187,7 +187,7 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
     circles = np.median([[c for c in p.circles] for p in found], axis=0)  # (2, 3)
     width, height = found[0].width // len(NAMES), found[0].height
     factory = [pair for p in found if (pair := factory_lenses(p.lenses)) is not None]
-    told = "as its factory says" if factory else "nothing says how they are rolled: taken for upright"
+    told = "rolled by the factory's values" if factory else "their rolls are unknown: taken as upright"
     rolled = [sum(lens.roll_deg for lens in pair) for pair in factory]
     roll = 90 * round(float(np.median(rolled)) / 90) if rolled else 0
     measured = [_factory_camera(factory, k, (width, height), circles[k], tuning) for k in range(len(NAMES))]
@@ -209,11 +209,11 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
                 part=k,
             )
         )
-    seen = f"each taken to see {across_deg:g} degrees across its circle"
+    seen = f"each with an assumed field of view of {across_deg:g} degrees across its circle"
     if all(measured):
-        seen = "their distortion starts from what the factory measured, which fits the circles of the pictures"
+        seen = "their initial distortion is the factory's, which fits the circles of the pictures"
     elif any(lens.sphere for pair in factory for lens in pair):
-        seen += ", for what the factory measured does not fit the circles of these pictures: are they cropped?"
+        seen += ", because the factory's values do not fit the circles of these pictures: are they cropped?"
     report.notes.append(f"two lenses back to back, {told}; {seen}")
     return RigSpec("360", tuple(sensors), nominal=True, synchronised=True, body_is_reference=True)
 
@@ -222,7 +222,7 @@ def _factory_camera(
     factory: Sequence[tuple[FactoryLens, FactoryLens]], number: int, size: tuple[int, int], circle: np.ndarray,
     tuning: Tuning,
 ) -> tuple[float, ...]:  # fmt: skip
-    """Parameters of OPENCV_FISHEYE as the factory of most of the files' cameras measured them."""
+    """Parameters of OPENCV_FISHEYE by the factory of most of the files' cameras."""
     told = Counter(pair for pair in factory if pair[number].sphere)
     if not told:
         return ()

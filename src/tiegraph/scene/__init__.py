@@ -1,4 +1,4 @@
-"""The data types every engine speaks, and their file formats.
+"""The common data types of all engines, and their file formats.
 
 Conventions, stated once:
 

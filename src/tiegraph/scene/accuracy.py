@@ -1,9 +1,9 @@
-"""How good a run is, in three layers: the one source of every accuracy that terminal, report, cloud and tables state.
+"""The accuracy of a run in three layers: the one source of all accuracies in terminal, report, cloud and tables.
 
-*In the world*: absolute, with what holds it. *In shape*: of the whole and of its parts against each other, wherever it
-stands. *Of a point*: of a point of the cloud against its neighbours. Each is predicted (one standard deviation) and,
-where something tells, measured (root mean square unless said otherwise); the length of the difference, not one axis.
-``evaluate`` makes it and ``metrics.json`` holds it, under ``accuracy``; nobody else computes one.
+*In the world*: absolute, with the controlling observations. *In shape*: of the whole and of its parts relative to each
+other, wherever it lies. *Of a point*: of a point of the cloud against its neighbours. Each is predicted (one standard
+deviation) and, if a reference exists, measured (root mean square unless stated otherwise); the length of the
+difference, not one axis. Only ``evaluate`` computes it; ``metrics.json`` contains it, under ``accuracy``.
 """
 
 import math
@@ -15,7 +15,7 @@ from tiegraph.text import finite
 
 NAN = float("nan")
 LAYERS = {"world": "in the world", "shape": "in shape", "point": "of a point"}
-"""Key of a layer -> its name, in the order they are stated."""
+"""Key of a layer -> its name, in the order of presentation."""
 PREDICTED, MEASURED, RATIO = "predicted", "measured", "ratio"
 
 
@@ -24,14 +24,14 @@ class Figure:
     """One accuracy, in the unit of its ``Accuracy``; NaN = not known.
 
     ``predicted``: a standard deviation of what ``measured`` is, so that their ratio is about 1. ``independent``: the
-    run did not know what it is measured by.
+    reference was not used in the run.
     """
 
     key: str  # begins with its layer
     of: str
     predicted: float = NAN
     measured: float = NAN
-    by: str = ""  # what it is measured by
+    by: str = ""  # the reference it is measured by
     independent: bool = False
     proves_not: str = ""
 
@@ -58,8 +58,8 @@ class Answer:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """All of it. ``unit`` is m, or "units" where nothing told the scale; ``held_by``: what holds it in the world;
-    ``placement``: sigmas of the model as a whole (position_m, height_m, yaw_deg, tilt_deg, scale), {} = not placed."""
+    """All of it. ``unit`` is m, or "units" if the scale is unknown; ``held_by``: its control in the world;
+    ``placement``: sigmas of the model as a whole (position_m, height_m, yaw_deg, tilt_deg, scale), {} = none."""
 
     unit: str
     held_by: str
@@ -72,7 +72,7 @@ class Accuracy:
         return [f for f in self.figures if f.layer == layer]
 
     def head(self, layer: str) -> Figure:
-        """The figure that stands for a layer: of a point in the world, of the shape as a whole, of a point."""
+        """The representative figure of a layer: of a point in the world, of the shape as a whole, of a point."""
         return self.figure("shape.whole" if layer == "shape" else layer)
 
     def figure(self, key: str) -> Figure:
@@ -80,7 +80,7 @@ class Accuracy:
         return next((f for f in self.figures if f.key == key), Figure(key=key, of=""))
 
     def values(self) -> dict[str, float]:
-        """Everything that may be stated, by its full key: "world.check_points.measured", "placement.tilt_deg"."""
+        """All values for presentation, by full key: "world.check_points.measured", "placement.tilt_deg"."""
         out = {f"{f.key}.{what}": getattr(f, what) for f in self.figures for what in (PREDICTED, MEASURED, RATIO)}
         out |= {f"placement.{name}": value for name, value in self.placement.items()}
         if self.answer is not None:
@@ -88,7 +88,7 @@ class Accuracy:
         return {key: value for key, value in out.items() if math.isfinite(value)}
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready; NaN as null. The ratio stands beside the values."""
+        """JSON-ready; NaN as null. The ratio is beside the values."""
         figures = [finite({**asdict(f), RATIO: f.ratio}) for f in self.figures]
         out = {"unit": self.unit, "held_by": self.held_by, "figures": figures, "placement": dict(self.placement)}
         return {**out, "tolerance": None if self.answer is None else asdict(self.answer)}

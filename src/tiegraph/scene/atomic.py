@@ -1,8 +1,8 @@
-"""Files and folders that appear whole or not at all, and the note that a run folder takes of each before it appears.
+"""Files and folders that appear whole or not at all, and the journal of a run folder that lists each before it appears.
 
 A run folder is a folder with the mark ``receipts/folder.json``. Before anything is written into one, its name goes to
-``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed. What a
-killed process was writing has a name with its process id, by which it is found and removed: in a run folder when that
+``receipts/made.txt``: after a kill at any moment it is known which files are ours and may be removed. Temporary files
+have names with the process id, by which those of killed processes are found and removed: in a run folder when it
 is opened, elsewhere when the same file is written again.
 """
 
@@ -24,12 +24,12 @@ JOURNAL = "receipts/made.txt"
 TEMPORARIES = ".*.part*"
 _TEMPORARY = re.compile(r"\.[0-9a-f]{8}\.(\d+)\.part")
 _SCRATCH = f".{zlib.crc32(b'tiegraph'):08x}"
-_CLOCKS_S = 2.0  # the system tells when it was started in whole seconds
+_CLOCKS_S = 2.0  # the system gives its start time in whole seconds
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path``, of a file or a folder, that takes its place when the block ends well, and is
+    """A temporary path beside ``path``, of a file or a folder, that replaces it when the block ends well, and is
     removed otherwise.
 
     The content is on the disk before it has its name. Raises InputError when the disk is full (the libraries below
@@ -56,8 +56,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(inside: Path | None = None) -> Iterator[Path]:
-    """A folder that is there for the block, ``inside`` another one, with which it goes after a kill, or among the
-    system's temporary ones, where those of killed processes go when the next is made."""
+    """A folder for the duration of the block, ``inside`` another one, with which it is removed after a kill, or among
+    the system's temporary ones, where those of killed processes are removed when the next is made."""
     if inside is None:
         sweep(Path(tempfile.gettempdir()).glob(f"{_SCRATCH}.*"))
     with tempfile.TemporaryDirectory(prefix=f"{_SCRATCH}.{os.getpid()}.part-", dir=inside) as made:
@@ -65,17 +65,17 @@ def scratch_folder(inside: Path | None = None) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """Remove a folder, or a file or link and what SQLite keeps beside a database, whether they are there or not."""
+    """Remove a folder, or a file or link with SQLite's files beside a database, whether they exist or not."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
         return
-    # A log left beside a replaced database would be played into the new one.
+    # A log left beside a replaced database would be applied to the new one.
     for suffix in ("", "-wal", "-shm", "-journal"):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 def sweep(paths: Iterable[Path]) -> None:
-    """Remove those that are temporary files or folders of ``replacing`` and whose process has gone."""
+    """Remove temporary files or folders of ``replacing`` whose process has ended."""
     for path in list(paths):
         found = _TEMPORARY.match(path.name)
         with suppress(OSError):
@@ -84,7 +84,7 @@ def sweep(paths: Iterable[Path]) -> None:
 
 
 def _is_alive(number: int, written_s: float) -> bool:
-    """Whether the process of a number may have written something: one that began later has only the same number, as in
+    """Whether the process of a number may have written a file: one that began later only has the same number, as in
     containers, where each begins at 1."""
     import psutil
 
@@ -98,15 +98,15 @@ def _is_alive(number: int, written_s: float) -> bool:
 
 
 def must_be_new(out: Path, path: Path | None = None) -> None:
-    """Raise InputError if what ``-o`` asks for, or a ``path`` that goes with it, is there already."""
+    """Raise InputError if the path of ``-o``, or a ``path`` that belongs to it, exists already."""
     path = path or out
     if os.path.lexists(path):
         which = f"-o {out}" if path == out else f"-o {out}: {path}"
-        raise InputError(f"{which} is there already: give another name, or remove it")
+        raise InputError(f"{which} exists already: give another name, or remove it")
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a path is, or lies in, one of ``replacing``'s, left behind by a kill."""
+    """Whether a path is, or lies in, a temporary one of ``replacing``, left behind by a kill."""
     return any(_TEMPORARY.match(part) for part in name.split("/"))
 
 
@@ -120,8 +120,8 @@ def sync(path: Path) -> None:
 
 
 def claim(path: Path) -> bool:
-    """Note in the journal of the run folder around ``path`` that the file, or all that is going to be below the folder
-    ``path``, is ours; whether there is one. ``replacing`` does so by itself; what libraries write needs it said."""
+    """Note in the journal of the run folder around ``path`` that the file, or all future contents of the folder
+    ``path``, are ours; whether there is one. ``replacing`` does this itself; files written by libraries need it."""
     path = path.absolute()
     for folder in path.parents:
         if (folder / MARK).exists():

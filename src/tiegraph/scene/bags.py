@@ -1,13 +1,13 @@
 """Recordings of ROS 1 and ROS 2 (bags), as far as a survey needs them; read by ``rosbags``, an extra.
 
-A bag is named by its path, and some of what it holds by its topics, ``run.bag:/gps/fix`` or
+A bag is named by its path, and some of its contents by topics, ``run.bag:/gps/fix`` or
 ``run.bag:/left/image,/right/image``, wherever a file can be named. Only messages of ROS's own packages are read. Their
-definitions have been the same in every release, so those that stand in the bag, or are missing in it, do not matter.
+definitions are the same in every release, so those in the bag are not used, and missing ones do not matter.
 Messages come one after another: a bag may be larger than the memory. Positions are read in ``scene.gnss.solutions``,
 poses in ``scan.priors.trajectory``, pixels in ``scan.videos.bagfilms``, which asks which topics are cameras.
 
-A message has two times: of its header, when it was measured, and of its receipt, later by what the way takes. The first
-counts; where it is not set, the second.
+A message has two times: in its header, of the measurement, and of its receipt, later by the transmission. The first
+counts; if it is not set, the second.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +27,7 @@ METADATA, _MARK, _HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
 
 
 def split_topics(path: Path) -> tuple[Path, tuple[str, ...]]:
-    """What a path names, and the topics that stand behind it: (``run.bag``, ("/gps/fix",)), or (the path, ())."""
+    """Path and topics of a name: (``run.bag``, ("/gps/fix",)), or (the path, ())."""
     head, _, tail = str(path).rpartition(":")
     bag = Path(head)
     if not head or not tail or path.exists() or not (bag.is_dir() or _is_file(bag)):
@@ -36,12 +36,12 @@ def split_topics(path: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def in_full(topic: str) -> str:
-    """A topic's name with the slash before it, which need not be written."""
+    """A topic's name with the leading slash, which may be omitted."""
     return f"/{topic.strip('/')}"
 
 
 def source_of(path: Path) -> Path:
-    """What a path names, without topics."""
+    """The path of a name, without topics."""
     return split_topics(path)[0]
 
 
@@ -85,7 +85,7 @@ class Topic:
 
 
 class Bag:
-    """What ``open_bag`` gives."""
+    """The result of ``open_bag``."""
 
     def __init__(self, path: Path, reader: Any, decoded: Callable[[bytes, str], Any]) -> None:
         self.path, self._reader, self._decoded = path, reader, decoded
@@ -99,7 +99,7 @@ class Bag:
 
     def messages(self, topic: Topic) -> Iterator[tuple[Any, int]]:
         """The messages of a topic in the order of their receipt, with its time (ns); at least one, if it counts any.
-        Raises InputError for a bag that is damaged."""
+        Raises InputError for a damaged bag."""
         left = topic.count
         with _reading(self.path):
             for connection, received_ns, data in self._reader.messages(connections=self._connections[topic]):
@@ -109,9 +109,9 @@ class Bag:
                 raise ValueError(f"it should have {topic}, and has none")
 
     def of_kinds(self, kinds: Sequence[str], asked: Sequence[str] = ()) -> list[Topic]:
-        """The topics that have messages of some kinds; those that are asked for, where some are.
+        """The topics that have messages of some kinds; the requested ones, if any.
 
-        Raises InputError, with what there is, where one that is asked for is none of them, and where there is none.
+        Raises InputError, with a list, if a requested one is not among them, and if there is none.
         """
         found = [t for t in self.topics if t.kind in kinds and t.count]
         for name in asked:
@@ -135,7 +135,7 @@ class Bag:
         return clean(str(self.path))
 
     def _listed(self, topics: Sequence[Topic]) -> str:
-        """Topics in words; of none, all that there are."""
+        """Topics in words; if there are none, all topics of the bag."""
         listed, what = topics or self.topics, "topics of that kind" if topics else "topics in it"
         return f"{len(listed)} {what}: {some(map(str, listed), 12)}" if listed else "it is empty"
 
@@ -168,7 +168,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Whatever rosbags and what it reads by raise of a damaged bag, as an InputError."""
+    """Errors of rosbags and its readers for a damaged bag, as an InputError."""
     try:
         yield
     except InputError:
@@ -179,18 +179,18 @@ def _reading(path: Path) -> Iterator[None]:
         tool = "`rosbag reindex`" if kinds & {*ROS1} else "`mcap recover`" if ".mcap" in kinds else "`sqlite3 .recover`"
         more = " or `ros2 bag reindex`" if path.is_dir() else ""
         raise InputError(
-            f"{clean(str(path))}: cannot be read as a ROS bag ({why:.200}); if its recording was broken off, "
-            f"{tool}{more} may mend it, else copy it again"
+            f"{clean(str(path))}: cannot be read as a ROS bag ({why:.200}); if its recording was interrupted, "
+            f"{tool}{more} may repair it, else copy it again"
         ) from None
 
 
 def stamp_ns(header: Any, received_ns: int) -> int:
-    """When a message was measured (ns): by its header, or where that is not set, when it was received."""
+    """Time of measurement of a message (ns): by its header, or if that is not set, of its receipt."""
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec) or received_ns
 
 
 def _kind(connection: Any) -> str:
-    """The kind of a connection's messages, as ROS 1 writes it; with their encoding, where that is not ROS's own."""
+    """The kind of a connection's messages, as ROS 1 writes it; with their encoding, if that is not ROS's own."""
     encoding = getattr(connection.ext, "serialization_format", "cdr")
     return connection.msgtype.replace("/msg/", "/") + ("" if encoding == "cdr" else f" in {encoding}")
 

@@ -1,13 +1,13 @@
 """A large survey in blocks of bounded size, so that the time to map it grows linearly with its images.
 
 The frames are a graph, linked by the preview matches of their images and by their order. Normalised cuts (Shi & Malik
-2000), nested until every part is small enough, keep what sees the same place together: both passes there, whatever
-their order. Each part then takes from its neighbours the frames it is tied to best; by these, which two blocks share,
-they are joined again (as in Zhu et al. 2018, Very large-scale global SfM by distributed motion averaging).
+2000), nested until every part is small enough, keep images of the same place together: both passes there, whatever
+their order. Each part then takes from its neighbours the frames with the most ties to it; by these shared frames two
+blocks are joined again (as in Zhu et al. 2018, Very large-scale global SfM by distributed motion averaging).
 
-Where walls repeat, a third of the matches tie places that lie far apart, and a cut through such a graph puts them into
-one block, where nothing contradicts them. So where frames have prior positions, only links between near frames count:
-each block is then one stretch of the way with all its passes, and ties between far places are in no block.
+Where walls repeat, a third of the matches tie distant places, and a cut through such a graph puts these into
+one block, where nothing contradicts them. So if frames have prior positions, only links between near frames count:
+each block is then one section of the path with all its passes, and ties between distant places are in no block.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.scene.tuning import BlocksTuning
 
-# Of the inverse iterations for the second eigenvector; the next eigenvalues of a long path lie close together, so that
-# some vectors iterate together.
+# Of the inverse iterations for the second eigenvector; the next eigenvalues of a long path lie close together, so
+# several vectors iterate together.
 _ITERATIONS, _VECTORS = 12, 4
 
 
 class Links(Protocol):
-    """What ties two images i, j (T,), however it was found: so many matches."""
+    """Ties of two images i, j (T,) of any origin, with their number of matches."""
 
     @property
     def i(self) -> np.ndarray: ...
@@ -62,8 +62,8 @@ class Block:
 
 
 def blocks_of(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[Block, ...]:
-    """Blocks of a survey by its ties; one that holds everything of a small one. Every image is some block's own, but
-    for those of small pieces that nothing ties to the rest."""
+    """Blocks of a survey by its ties; a single one for a small survey. Every image is some block's own, except
+    those of small components without ties to the rest."""
     everything = np.arange(len(scene))
     if in_one_piece(scene, tuning):
         return (Block(everything, np.ones(len(scene), bool)),)
@@ -81,12 +81,12 @@ def blocks_of(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[Block, .
 
 
 def in_one_piece(scene: Scene, tuning: BlocksTuning) -> bool:
-    """Whether a survey is so small that it is mapped in one piece."""
+    """Whether a survey is small enough to be mapped as a whole."""
     return len(scene) <= _times(scene, tuning) * tuning.whole
 
 
 def _times(scene: Scene, tuning: BlocksTuning) -> float:
-    """By which blocks are larger: 1 where most frames have positions in one world, which keep far places out of a
+    """Factor of the block size: 1 if most frames have positions in one world, which keep distant places out of a
     block."""
     world = scene.pose_world()
     return 1.0 if np.bincount(world[world >= 0], minlength=1).max() > 0.5 * scene.frames else tuning.unplaced
@@ -108,10 +108,10 @@ def _links(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[csr_array, 
 
 
 def _far(scene: Scene, a: np.ndarray, b: np.ndarray, near: int) -> np.ndarray:
-    """(T,) bool: links between frames a, b (T,) neither of which is among so many nearest ones of the other, by prior
-    positions. Frames without one stand between their neighbours on the pass; those beyond its known ends are linked
-    with the ``near`` around them on the pass alone, for false links of one of them would pull the end of a pass
-    elsewhere. Of other frames nothing is known."""
+    """(T,) bool: links between frames a, b (T,) neither of which is among the ``near`` nearest ones of the other, by
+    prior positions. Frames without one are interpolated between their neighbours on the pass; those beyond its known
+    ends are linked with the ``near`` around them on the pass alone, because a false link of one of them would pull the
+    end of a pass elsewhere. For other frames nothing is known."""
     pose = np.array(scene.world_from_rig)
     positions = pose[:, :3, 3] = between_neighbours(pose[:, :3, 3], scene)
     world = scene.with_(world_from_rig=pose).pose_world()
@@ -161,17 +161,17 @@ def _cut(graph: csr_array, size: np.ndarray, own: int, tuning: BlocksTuning) -> 
 def _first_side(
     graph: csr_array, size: np.ndarray, blocks: tuple[int, int], own: int, tuning: BlocksTuning
 ) -> np.ndarray:
-    """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
+    """(F,) bool: the side for the first of some ``blocks``, (some, all), by the cheapest cut."""
     share, total = blocks[0] / blocks[1], float(size.sum())
     order = np.argsort(_second_vector(graph), kind="stable")
     place = np.argsort(order)
     coo = graph.tocoo()
     low, high = np.minimum(*place[np.stack(coo.coords)]), np.maximum(*place[np.stack(coo.coords)])
-    # What a cut after place k severs: the links from k or before to behind it.
+    # Links that a cut after place k severs: from k or before to behind it.
     severed = np.cumsum(np.bincount(low, coo.data, len(order)) - np.bincount(high, coo.data, len(order)))[:-1]
     done = np.cumsum(size[order])[:-1] / total
     allowed = np.abs(done - share) <= tuning.margin * min(share, 1 - share)
-    # Neither side may need one block more than it was meant to: a block too many costs more than a cut through ties.
+    # Neither side may need one block more than intended: an extra block costs more than a cut through ties.
     allowed &= (done * total <= blocks[0] * own) & ((1 - done) * total <= (blocks[1] - blocks[0]) * own)
     allowed[np.argmin(np.abs(done - share))] = True
     volume = np.cumsum(np.bincount(place[coo.coords[0]], coo.data, len(order)))
@@ -201,7 +201,7 @@ def _second_vector(graph: csr_array) -> np.ndarray:
 def _lent(
     graph: csr_array, pairs: csr_array, label: np.ndarray, size: np.ndarray, tuning: BlocksTuning
 ) -> list[np.ndarray]:
-    """For every part (F,) bool: the frames it takes from its neighbours, of each those that it is tied to best."""
+    """For every part (F,) bool: the frames it takes from its neighbours, of each those with the most ties to it."""
     count = label.max() + 1
     member = csr_array((np.ones(len(label)), label, np.arange(len(label) + 1)), shape=(len(label), count))
     between = (member.T @ pairs @ member).toarray()

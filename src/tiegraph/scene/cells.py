@@ -1,8 +1,8 @@
-"""What a cell of a table says: a number, a length, an angle, a time; and what its columns are: by what they are called,
-one list for all tables, or, without a header, by their cells.
+"""Contents of a table cell: a number, a length, an angle, a time; and the roles of the columns: by their names, one
+list for all tables, or, without a header, by their cells.
 
 Words are in lower case without accents, units and signs, as ``textfile.plain_word`` makes them. The first that a table
-has counts. What cells say is () where they may be two things.
+has counts. Ambiguous cells give ().
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _ANGLE = re.compile(
     r"\s*([NSEW])?\s*"
 )
 _LENGTH = re.compile(r"([+-]?\d+(?:\.\d*)?)\s*([a-z]+)\.?(?: (above|below) .*)?")  # exiftool: 40.2 m Above Sea Level
-# Of numbers as people group and mark them: 494 399,21 or 494.399,21, and 494,399.21 or 494'399.21.
+# Of numbers with group separators: 494 399,21 or 494.399,21, and 494,399.21 or 494'399.21.
 _COMMA_MARKS = re.compile(r"[+-]?(?:\d{1,3}(?:[. \u00a0\u202f'’]\d{3})+|\d*),\d+(?:[eE][+-]?\d+)?")
 _COMMA_GROUPS = re.compile(r"[+-]?\d{1,3}(?:[, \u00a0\u202f'’]\d{3})+(?:\.\d*)?")
 _EITHER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
@@ -42,7 +42,7 @@ _GROUPS = re.compile(r"[ \u00a0\u202f'’]")
 
 
 def number(text: str) -> float:
-    """The number that a cell is, NaN if it is none."""
+    """The number in a cell, NaN if it is none."""
     try:
         return float("nan") if "_" in text else float(text)
     except ValueError:
@@ -50,7 +50,7 @@ def number(text: str) -> float:
 
 
 def length_m(text: str, unit_m: float) -> float:
-    """Metres of a cell that is a number of units, or has one of its own; NaN if it is none."""
+    """Metres of a cell with a number of units, or of its own unit; NaN if it is none."""
     value = number(text)
     if value == value or not (found := _LENGTH.fullmatch(text.lower())):
         return value * unit_m
@@ -58,7 +58,7 @@ def length_m(text: str, unit_m: float) -> float:
 
 
 def degrees(text: str) -> tuple[float, str]:
-    """Degrees of a cell, which may have minutes and seconds, NaN if it is none, and the letter of its half or ""."""
+    """Degrees of a cell, perhaps with minutes and seconds, NaN if it is none, and the letter of its half or ""."""
     value = number(text)
     if value == value or not (found := _ANGLE.fullmatch(text.upper().replace(",", "."))):
         return value, ""
@@ -74,7 +74,7 @@ def says_value(text: str) -> bool:
 
 
 def comma_marks(cells: Sequence[str]) -> bool | None:
-    """Whether the numbers among cells have commas for points; None where nothing tells: 1,234 may be either."""
+    """Whether the numbers among cells have decimal commas; None if that is undecided: 1,234 can be either."""
     marks, groups, either = (sum(bool(p.fullmatch(c)) for c in cells) for p in (_COMMA_MARKS, _COMMA_GROUPS, _EITHER))
     if either and (marks > either) == (groups > either):
         return None
@@ -82,11 +82,11 @@ def comma_marks(cells: Sequence[str]) -> bool | None:
 
 
 def plain(cell: str, comma: bool | None, where: str) -> str:
-    """A number as Python writes it; what is none stays. Raises InputError, with ``where``, for one that may be two."""
+    """A number as Python writes it; other text unchanged. Raises InputError, with ``where``, for an ambiguous one."""
     mark = "." if comma else ","
     if comma is not False and mark in cell and _EITHER.fullmatch(cell.replace(mark, ",")):
         raise InputError(
-            f"{where}: {cell!r} may be {cell.replace(mark, '.')} or {cell.replace(mark, '')}: write numbers with a "
+            f"{where}: {cell!r} can be {cell.replace(mark, '.')} or {cell.replace(mark, '')}: write numbers with a "
             "point and without separators of thousands"
         )
     if comma and (_COMMA_MARKS.fullmatch(cell) or _COMMA_GROUPS.fullmatch(cell.replace(".", ","))):
@@ -125,7 +125,7 @@ def seconds_of(text: str, form: str) -> float:
 
 
 def date_text(time_s: float) -> str:
-    """A time (seconds since 1970, UTC) as people read it."""
+    """A time (seconds since 1970, UTC) for people."""
     return f"{datetime.fromtimestamp(time_s, timezone.utc):%Y-%m-%d %H:%M:%S}"
 
 
@@ -198,7 +198,7 @@ ROLES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 SIGMAS = ("horizontal sigma", "sigma", "sigma to the east", "sigma to the north", "vertical sigma")
 _KNOWN = {word for role, words in ROLES.items() for word in words if role != "crs"} | {"ts"}
-# What a name speaks of that changes what the other columns mean.
+# Kinds of columns that change the meaning of the others.
 _SPEAKS = {
     "an angle": {"yaw", "pitch", "roll", "heading", "omega", "phi", "kappa", "azimuth", "tilt", "course", "bearing"},
     "a hemisphere": {"hemi", "hemisphere", "ref", "ns", "ew"},
@@ -212,12 +212,12 @@ _SPEAKS = {
 
 
 def known_words(columns: tuple[str, ...]) -> int:
-    """How many columns have a name that some table knows, their units left away."""
+    """How many columns have a name that some table knows, without their units."""
     return sum(c in _KNOWN or without_unit(c)[0] in _KNOWN for c in columns)
 
 
 def speaks_of(column: str) -> str:
-    """What a column's name says that may change what others mean, such as "a fix"; "" if nothing."""
+    """The kind of a column, such as "a fix", that may change the meaning of others; "" if none."""
     words = set(column.split("_"))
     return next((what for what, own in _SPEAKS.items() if words & own), "")
 
@@ -240,7 +240,7 @@ def is_file(cell: str) -> bool:
 
 
 def positions(rows: Cells) -> tuple[str, ...]:
-    """Image or time, latitude and longitude in either order where one is above 90, height, perhaps three angles of the
+    """Image or time, latitude and longitude in either order if one is above 90, height, perhaps three angles of the
     camera, perhaps two accuracies, as Pix4D writes them."""
     first = "image" if is_file(rows[0][0]) else "time" if np.isfinite(parse_time(rows[0][0])) else ""
     values = _numbers(rows)
@@ -251,7 +251,7 @@ def positions(rows: Cells) -> tuple[str, ...]:
 
 
 def geotxt(rows: Cells) -> tuple[str, ...]:
-    """The columns of ODM's geo.txt. Accuracies stand behind three angles."""
+    """The columns of ODM's geo.txt. Accuracies follow three angles."""
     width = max(len(cells) for cells in rows)
     sigmas = ("sigma_h", "sigma_v") if width > 8 else ()
     names = ("image", "x", "y", "z", "angle_1", "angle_2", "angle_3", *sigmas)
@@ -259,7 +259,7 @@ def geotxt(rows: Cells) -> tuple[str, ...]:
 
 
 def points(rows: Cells, crs: pyproj.CRS | None) -> tuple[str, ...]:
-    """Marks (image and point in either order, two pixels); or a point, its place in degrees, or in a grid where only
+    """Marks (image and point in either order, two pixels); or a point, its place in degrees, or in a grid if only
     one order lies in its area of use (PNEZD, PENZD), height, perhaps two accuracies, perhaps a code."""
     values = _numbers(rows)
     width = values.shape[1] + 1
@@ -290,7 +290,7 @@ def times(rows: Cells) -> tuple[str, ...]:
 
 
 def _numbers(rows: Cells) -> np.ndarray:
-    """(R, C - 1) of the cells behind the first, NaN for what is none."""
+    """(R, C - 1) of the cells after the first, NaN for cells without a number."""
     width = max(len(cells) for cells in rows)
     return np.array([[number(c) for c in (*cells, *("",) * width)[1:width]] for cells in rows]).reshape(len(rows), -1)
 

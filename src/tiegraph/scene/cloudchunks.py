@@ -1,6 +1,6 @@
 """Point clouds read a part at a time, in double precision: LAS, LAZ, COPC, PLY and E57, of any number of points.
 
-Memory is that of a part (of an E57 file: that of a scan). And points with what was measured at them, as LAS or LAZ 1.4:
+Memory is that of a part (of an E57 file: that of a scan). Also points with measured values, written as LAS or LAZ 1.4:
 extra dimensions of 32 bits, colours by the first.
 """
 
@@ -37,8 +37,8 @@ class Points(Columns):
 
 @dataclass(frozen=True)
 class PointSource:
-    """A cloud that is gone through part by part; ``name`` is what errors call it, ``crs`` "EPSG:n" (with heights above
-    a geoid "EPSG:n+m") if it says one, ``note`` what is doubtful about that."""
+    """A cloud read part by part; ``name`` is its name in errors, ``crs`` "EPSG:n" (with heights above
+    a geoid "EPSG:n+m") if it states one, ``note`` doubts about that."""
 
     name: str
     parts: Callable[[], Iterator[Points]]
@@ -46,7 +46,7 @@ class PointSource:
     note: str = ""
 
     def moved(self, function: Callable[[np.ndarray], np.ndarray], crs: str | None = None) -> "PointSource":
-        """The cloud with its coordinates (N, 3) carried by a function; sigmas stay."""
+        """The cloud with its coordinates (N, 3) transformed by a function; sigmas stay."""
 
         def parts() -> Iterator[Points]:
             for part in self.parts():
@@ -74,8 +74,8 @@ def points_of(xyz: np.ndarray, name: str = "the cloud") -> PointSource:
 def open_cloud(path: Path) -> PointSource:
     """The points of a .las, .laz (also COPC), .ply or .e57 file.
 
-    Raises InputError, here or while its parts are read, for a file that is not there, no point cloud, cut short or
-    empty, for points at no place, and for a CRS that is not projected in metres.
+    Raises InputError, here or while its parts are read, for a missing file, no point cloud, a cut-off or
+    empty one, for non-finite points, and for a CRS that is not projected in metres.
     """
     check_cloud(path)
     kind = path.suffix.lower()
@@ -85,14 +85,14 @@ def open_cloud(path: Path) -> PointSource:
         check_vertical(crs or ENU)
     except InputError as error:
         crs, _, heights = str(crs).partition("+")
-        note = f"its heights count from another level (EPSG:{heights}) and are compared as they are: {error}"
+        note = f"its heights refer to another level (EPSG:{heights}) and are compared unchanged: {error}"
     name = str(path) if crs is None else f"{path} ({crs} by its header)"
     return PointSource(name, lambda: _checked(path, read), crs=crs, note=note)
 
 
 def check_cloud(path: Path) -> None:
-    """Raise InputError for a file that is no point cloud by its ending and first bytes, or whose header says that it
-    has no points, is cut short or counts in another unit than metres."""
+    """Raise InputError for a file that is no point cloud by its extension and first bytes, or whose header announces
+    no points, is cut off or has another unit than metres."""
     kind = path.suffix.lower()
     if kind not in CLOUD_ENDINGS:
         raise InputError(f"{path}: clouds are read from .las, .laz, .ply or .e57: convert it")
@@ -109,7 +109,7 @@ def check_cloud(path: Path) -> None:
             with laspy.open(path) as reader:
                 count = reader.header.point_count
         if not count:
-            raise InputError(f"{path}: its header says 0 points: give a file with points")
+            raise InputError(f"{path}: its header announces 0 points: give a file with points")
         las_crs(path)
     if kind == ".e57":
         _e57_module(path)
@@ -132,23 +132,21 @@ def las_crs(path: Path) -> str | None:
     try:
         parse_crs(name)
     except InputError as error:
-        raise InputError(f"{path}: the CRS in its header cannot be used: {error}; convert the file to such a one, or "
-                         "take the CRS out of its header if it is wrong") from None  # fmt: skip
+        raise InputError(f"{path}: the CRS in its header cannot be used: {error}; convert the file to such a CRS, or "
+                         "remove the CRS from its header if it is wrong") from None  # fmt: skip
     return name
 
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """What libraries raise for a damaged file is an InputError that names it."""
+    """Errors of libraries for a damaged file as an InputError that names it."""
     try:
         yield
     except InputError:
         raise
     except Exception as error:
         why = str(error).partition("\n")[0]  # libE57 writes a page
-        raise InputError(
-            f"{path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
-        ) from None
+        raise InputError(f"{path}: not a readable point cloud: {why}; is it cut off? Copy or export it again") from None
 
 
 def _checked(path: Path, read: Callable[[Path], Iterator[Points]]) -> Iterator[Points]:
@@ -160,8 +158,8 @@ def _checked(path: Path, read: Callable[[Path], Iterator[Points]]) -> Iterator[P
             break
         lost = np.flatnonzero(~np.isfinite(part.xyz).all(axis=1))
         if len(lost):
-            raise InputError(f"{path}: {len(lost)} points are at no place (NaN or infinite), such as point "
-                             f"{seen + lost[0] + 1}: take them out")  # fmt: skip
+            raise InputError(f"{path}: {len(lost)} points have no coordinates (NaN or infinite), such as point "
+                             f"{seen + lost[0] + 1}: remove them")  # fmt: skip
         seen += len(part)
         yield part
     if not seen:
@@ -213,7 +211,7 @@ class Measured:
 
 def write_measured(parts: Iterable[Measured], path: Path, origin: Origin | None, spacing: float) -> int:
     """Write points part by part; their number. Without a part no file is written. ``spacing`` of the points: the
-    resolution where the world has no units. Raises TiegraphError when the disk is full."""
+    resolution if the world has no units. Raises TiegraphError when the disk is full."""
     rest = iter(parts)
     first = next(rest, None)
     if first is None:

@@ -19,8 +19,8 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Cloud
 
-# Scale of a world without units, as a share of its points' spacing or, if that is not said, of the first part's extent:
-# 32-bit integers hold 2e9 steps, and other parts may lie far from the first.
+# Scale of a world without units, as a share of its points' spacing or, if unknown, of the first part's extent:
+# 32-bit integers have 2e9 steps, and other parts may lie far from the first.
 _OF_SPACING, _OF_EXTENT = 1e-2, 1e-6
 _FAR = 1e5  # coordinates beyond this get an offset of their own
 _EXTRA = (("sigma_m", "f4"), ("views", "u1"), ("NormalX", "f4"), ("NormalY", "f4"), ("NormalZ", "f4"))
@@ -53,7 +53,7 @@ def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | No
 def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
     """Read .las, .laz or .ply; columns a file lacks are grey, NaN or 0.
 
-    ``origin`` states the world wanted: its shift is taken off. Without it a LAS file's own CRS makes an origin, if it
+    ``origin`` states the wanted world: its shift is subtracted. Without it a LAS file's own CRS makes an origin, if it
     has one. Raises InputError for an unreadable file.
     """
     if not path.exists():
@@ -86,7 +86,7 @@ def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None
 
 
 def write_records(records: Iterable[laspy.ScaleAwarePointRecord], header: laspy.LasHeader, path: Path) -> int:
-    """Write point records one after another, and how many points they are."""
+    """Write point records one after another; their number."""
     count = 0
     with replacing(path) as temporary:
         with laspy.open(temporary, mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as out:
@@ -98,7 +98,7 @@ def write_records(records: Iterable[laspy.ScaleAwarePointRecord], header: laspy.
 
 
 def undate(path: Path) -> None:
-    """Take the day a LAS file was written out of its header, so that equal clouds make equal files on any day.
+    """Remove the date of writing from the header of a LAS file, so that equal clouds make equal files on any day.
 
     0 stands for no date; laspy would always state today. The two numbers (day of the year, year) are u2 from byte 90.
     """
@@ -108,7 +108,7 @@ def undate(path: Path) -> None:
 
 
 def write_ply(clouds: Cloud | Iterable[Cloud], path: Path, said: str = "") -> tuple[str, ...]:
-    """Write binary little-endian PLY, positions as double; CRS, shift and what is ``said`` (ASCII) stand in comments.
+    """Write binary little-endian PLY, positions as double; CRS, shift and text ``said`` (ASCII) are in comments.
 
     The positions are the file's CRS coordinates. Raises TiegraphError when the disk is full."""
     parts, first = _parts(clouds)
@@ -131,7 +131,7 @@ def _parts(clouds: Cloud | Iterable[Cloud]) -> tuple[Iterator[Cloud], Cloud]:
 
 
 def shift_of(origin: Origin | None) -> np.ndarray:
-    """(3,) what the world lacks to the coordinates of its CRS."""
+    """(3,) shift from the world to the coordinates of its CRS."""
     return np.zeros(3) if origin is None else np.asarray(origin.shift_m, float)
 
 
@@ -145,15 +145,15 @@ def _enu_note(origin: Origin) -> str:
 def las_header(
     first: Cloud, spacing: float | None, said: str = "", extra: Sequence[tuple[str, str]] = _EXTRA
 ) -> tuple[laspy.LasHeader, tuple[str, ...]]:
-    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``. What is ``said`` (ASCII)
-    stands in the record that the standard has for text. ``extra``: names and types of the extra dimensions."""
+    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``. The text ``said`` (ASCII)
+    is in the standard's text record. ``extra``: names and types of the extra dimensions."""
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.generating_software = "tiegraph"
     if said:
         header.vlrs.append(laspy.VLR("LASF_Spec", 3, "text area", said.encode("ascii") + b"\0"))
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])
     # State no minimum and no maximum of the extra dimensions: laspy marks them as stated, but has NaN there if one
-    # point has it, and the largest and smallest numbers there are if no point went through its writer
+    # point has it, and the largest and smallest numbers if no point went through its writer
     for record in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
         record.options &= ~(record.MIN_BIT_MASK | record.MAX_BIT_MASK)
     offset = shift_of(first.origin)
@@ -184,13 +184,13 @@ def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRe
 
 
 def refuse_cut_las(path: Path) -> None:
-    """Raise InputError for a LAS file that is shorter than its header says (laspy reads what there is)."""
+    """Raise InputError for a LAS file that is shorter than its header announces (laspy reads the rest)."""
     with laspy.open(path) as reader:
         header = reader.header
     there = path.stat().st_size - header.offset_to_point_data
     if not header.are_points_compressed and header.point_count * header.point_format.size > there:
         raise InputError(
-            f"{path} is cut short: its header says {header.point_count} points, and {there} bytes follow it"
+            f"{path} is cut off: its header announces {header.point_count} points, and {there} bytes follow it"
         )
 
 
@@ -228,7 +228,7 @@ def _cloud(xyz: np.ndarray, rgb: np.ndarray, columns: dict[str, np.ndarray], ori
 
 
 def _origin_of(header: laspy.LasHeader, xyz: np.ndarray) -> Origin | None:
-    """The origin a LAS file itself states: its CRS, if projected and metric, and its offsets as the shift."""
+    """The origin that a LAS file states: its CRS, if projected and metric, and its offsets as the shift."""
     try:
         crs = header.parse_crs(prefer_wkt=True)
     except pyproj.exceptions.CRSError:
@@ -319,7 +319,7 @@ def _read_ply_header(file: BinaryIO, path: Path) -> _PlyHeader:
             if words[1] == "vertex":
                 count = int(words[2])
             elif not properties:
-                raise InputError(f"{path}: element {words[1]!r} stands before the vertices; save the points alone")
+                raise InputError(f"{path}: element {words[1]!r} precedes the vertices; save the points alone")
             element = words[1]
         elif words[:1] == ["property"] and element == "vertex":
             if words[1] == "list" or words[1] not in _PLY_TYPES:
@@ -349,7 +349,7 @@ def ply_parts(path: Path, most: int) -> Iterator[np.ndarray]:
 
 
 def _ply_rows_of(file: BinaryIO, path: Path, header: _PlyHeader, most: int) -> Iterator[np.ndarray]:
-    """The vertices in parts; one part, maybe empty, at least."""
+    """The vertices in parts; at least one part, perhaps empty."""
     kind, count, properties = header.kind, header.count, header.properties
     order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}.get(kind)
     if order is None:
@@ -358,7 +358,7 @@ def _ply_rows_of(file: BinaryIO, path: Path, header: _PlyHeader, most: int) -> I
     least = 2 * len(properties) - 1 if kind == "ascii" else dtype.itemsize  # bytes of a point
     there = path.stat().st_size - file.tell()
     if not 0 <= count * least <= there:
-        raise InputError(f"{path} is cut short: its header says {count} points, and {there} bytes follow it")
+        raise InputError(f"{path} is cut off: its header announces {count} points, and {there} bytes follow it")
     for start in range(0, max(count, 1), most):
         wanted = min(most, count - start)
         if kind == "ascii":
@@ -370,5 +370,5 @@ def _ply_rows_of(file: BinaryIO, path: Path, header: _PlyHeader, most: int) -> I
             data = file.read(wanted * dtype.itemsize)
             rows = np.frombuffer(data[: len(data) // dtype.itemsize * dtype.itemsize], dtype)
         if len(rows) != wanted:
-            raise InputError(f"{path} is cut short: {start + len(rows)} of {count} points")
+            raise InputError(f"{path} is cut off: {start + len(rows)} of {count} points")
         yield rows

@@ -1,7 +1,7 @@
 """Rows of COLMAP's database by SQL: features, matches and verified geometries, read and written in this place only.
 
-What COLMAP's own objects hold (cameras, rigs, frames, images, priors) is written by ``scene.colmaprows``. Ids there are
-of the scene: image_id = scene index + 1; in a database of any origin images go by name (``image_ids``).
+COLMAP's own objects (cameras, rigs, frames, images, priors) are written by ``scene.colmaprows``. Ids there are
+those of the scene: image_id = scene index + 1; in a database of any origin images go by name (``image_ids``).
 
 The file is in SQLite's WAL mode: what was committed survives the SIGKILL of its writer. ``Rows`` reads without writing
 to the file, as COLMAP's own opening does.
@@ -25,7 +25,7 @@ from tiegraph.scene.scene import Scene
 _WHOLE = ("cameras", "rigs", "rig_sensors", "frames", "frame_data", "images")
 _OF_IMAGES = ("keypoints", "descriptors")
 _MADE = ("matches", "two_view_geometries")
-# All a mapper reads besides rigs, frames and priors, and which rows of it some images need.
+# All that a mapper reads besides rigs, frames and priors, and which rows of it some images need.
 _MAPPED = {
     "cameras": "",
     "images": "WHERE image_id IN wanted",
@@ -40,7 +40,7 @@ class Rows:
     """A database opened for reading only; ids are COLMAP's. Raises InputError for a file that is not there."""
 
     def __init__(self, path: Path, any_thread: bool = False) -> None:
-        """``any_thread``: the connection may be used by others than the thread that opened it."""
+        """``any_thread``: the connection may be used by other threads than the one that opened it."""
         if not path.is_file():
             raise InputError(f"database {path} does not exist: run the features stage first")
         uri = f"{path.absolute().as_uri()}?mode=ro"
@@ -177,15 +177,15 @@ def clear_matches(path: Path) -> None:
 
 
 def write_anew(path: Path) -> None:
-    """Write the file again as if its rows had come one after another: equal rows make equal bytes, whatever the order
-    in which COLMAP's threads finished, interruptions, and rows that were deleted.
+    """Write the file again as if its rows had come in order: equal rows make equal bytes, whatever the order
+    in which COLMAP's threads finished, interruptions, and deleted rows.
 
     No log is left beside it. Raises InputError when the disk has no room for the second copy, and TiegraphError when
-    another program reads the file; it then stays as it was.
+    another program reads the file; it then stays unchanged.
     """
     with replacing(path) as temporary:
         with _opened(path) as connection:
-            # Else the log would stay, to be played into the new file.
+            # Otherwise the log would stay, and be applied to the new file.
             connection.execute("PRAGMA journal_mode = DELETE")
             connection.execute("VACUUM INTO ?", (str(temporary),))
         with _opened(temporary) as connection:
@@ -193,7 +193,7 @@ def write_anew(path: Path) -> None:
 
 
 def keep_finished(path: Path, pairs: Pairs) -> np.ndarray:
-    """Delete the rows of pairs that are not asked for or were half written; (P,) bool: which of the pairs are there."""
+    """Delete the rows of pairs that are not wanted or half written; (P,) bool: which of the pairs exist."""
     asked = pair_ids(pairs)
     with transaction(path) as cursor:
         there = {table: {row[0] for row in cursor.execute(f"SELECT pair_id FROM {table}")} for table in _MADE}
@@ -204,7 +204,7 @@ def keep_finished(path: Path, pairs: Pairs) -> np.ndarray:
 
 
 def strike(path: Path, configuration: int) -> None:
-    """Leave no verified match to the pairs whose geometry is of this kind."""
+    """Remove the verified matches of pairs whose geometry is of this kind."""
     with transaction(path) as cursor:
         cursor.execute("UPDATE two_view_geometries SET rows = 0, data = NULL WHERE config = ?", (configuration,))
 
@@ -237,7 +237,7 @@ def _new(path: Path, source: Path) -> Iterator[sqlite3.Connection]:
 
 
 def copy_features(source: Path, path: Path, images: np.ndarray, alias: str) -> None:
-    """A new database with the features of some images (scene indices), which are called ``alias`` and their id."""
+    """A new database with the features of some images (scene indices), named ``alias`` and their id."""
     with _new(path, source) as connection:
         connection.executemany("INSERT INTO wanted VALUES (?)", [(int(k) + 1,) for k in images])
         for table in (*_WHOLE, *_OF_IMAGES):
@@ -248,7 +248,7 @@ def copy_features(source: Path, path: Path, images: np.ndarray, alias: str) -> N
 
 
 def take_matches(path: Path, block: Path) -> None:
-    """Write all matches and geometries of another database into this one. Raises as ``explained`` does, of the database
+    """Write all matches and geometries of another database into this one. Raises as ``explained``, for the database
     at fault."""
     with reading(block) as cursor:
         rows = {table: cursor.execute(f"SELECT * FROM {table}").fetchall() for table in _MADE}
@@ -264,7 +264,7 @@ def _columns(cursor: sqlite3.Cursor | sqlite3.Connection, table: str) -> str:
 
 
 def copy_verified(source: Path, path: Path, names: set[str] | None, refused: Sequence[tuple[str, str]]) -> None:
-    """A new database with all a mapper reads of another one besides rigs, frames and priors.
+    """A new database with all that a mapper reads of another one besides rigs, frames and priors.
 
     ``names``: of the images to copy, None = all; ``refused``: names of pairs whose verified matches stay behind.
     Descriptors and raw matches, most of the bytes, stay behind too.
@@ -321,14 +321,14 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def explained(path: Path, error: Exception) -> TiegraphError:
-    """What an error of SQLite or COLMAP at a database means, with the remedy."""
+    """Explanation of an error of SQLite or COLMAP at a database, with the remedy."""
     text = str(error)
     told = limits.explained(error, path.parent) or limits.explained_text(text, path.parent)
     if told is not None:
         return type(told)(f"{path} cannot be written: {told}")
     if (
         "disk I/O" in text or "factory" in text or "readonly" in text or "unable to open" in text
-    ):  # all that COLMAP says of its reason
+    ):  # all that COLMAP reports of its reason
         return InputError(f"{path} cannot be written ({text}): is the disk full or the folder read-only?")
     if "locked" in text:
         return TiegraphError(f"{path} is in use by another program ({text}): close it and run again")

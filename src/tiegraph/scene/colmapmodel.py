@@ -1,5 +1,5 @@
-"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), written, turned into arrays
-by the scene's images and sensors; ids in its database. And several models of one world in one model.
+"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), written, converted to
+arrays by the scene's images and sensors; ids in its database. And several models of one world in one model.
 """
 
 import shutil
@@ -31,12 +31,12 @@ _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
 def is_model(folder: Path) -> bool:
-    """Whether a folder holds a COLMAP model, binary or text."""
+    """Whether a folder contains a COLMAP model, binary or text."""
     return any((folder / f"images.{kind}").exists() for kind in ("bin", "txt"))
 
 
 def read_model(folder: Path | str) -> Any:
-    """The ``pycolmap.Reconstruction`` of a model folder. Raises InputError naming what is damaged."""
+    """The ``pycolmap.Reconstruction`` of a model folder. Raises InputError naming the damaged part."""
     folder = Path(folder)
     for name, end_of in _RECORDS.items():
         _check(folder / f"{name}.bin", end_of)
@@ -54,8 +54,8 @@ def read_model(folder: Path | str) -> Any:
 
 
 def _read_text(folder: Path) -> Any:
-    """The model of text files as other programs write them: names with blanks, which pycolmap would end at the first,
-    images without a line for points, of which it would take every second one alone, and no points at all."""
+    """The model of text files as other programs write them: names with blanks, which pycolmap would cut at the first,
+    images without a line for points, of which it would read only every second one, and no points at all."""
     if not (folder / "cameras.txt").exists():
         raise InputError(f"{folder}: no cameras.txt; a model has cameras.txt, images.txt and, if any, points3D.txt")
     cameras = (folder / "cameras.txt").read_text("utf-8-sig", "replace").split("\n")
@@ -79,7 +79,7 @@ def _read_text(folder: Path) -> Any:
 
 
 def _image_lines(path: Path) -> tuple[dict[int, str], list[str]]:
-    """Name of each image by its id, and two lines an image with the id instead of the name."""
+    """Name of each image by its id, and two lines per image with the id instead of the name."""
     names: dict[int, str] = {}
     lines: list[str] = []
     for number, line in enumerate(path.read_text("utf-8-sig", "surrogateescape").split("\n"), 1):
@@ -98,7 +98,7 @@ def _image_lines(path: Path) -> tuple[dict[int, str], list[str]]:
         if not 0 < qw * qw + qx * qx + qy * qy + qz * qz < np.inf or not np.isfinite(tx + ty + tz):
             raise InputError(f"{where}: {' '.join(values[1:8])} is no pose: a quaternion is not 0")
         if int(values[0]) in names or name in names.values():
-            raise InputError(f"{where}: {name} or its number {values[0]} stands there twice")
+            raise InputError(f"{where}: {name} or its number {values[0]} is listed twice")
         names[int(values[0])] = name
         lines += [" ".join([*values, values[0]]), ""]
     return names, lines
@@ -108,9 +108,9 @@ _OF_NUMBERS = frozenset("0123456789.+-eE \t\r")
 
 
 def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:
-    """Raise InputError for a file that is none, or whose records do not fill it.
+    """Raise InputError for an unreadable file, or one whose records do not fill it.
 
-    pycolmap believes the numbers in a file: in one that is cut off it reads on past the end for minutes, or asks for
+    pycolmap trusts the numbers in a file: in one that is cut off it reads past the end for minutes, or requests
     more memory than there is.
     """
     if not path.exists():
@@ -243,7 +243,7 @@ def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.nd
 
 
 def tracks(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (P, 3), model units, and who sees them: image (M,) scene index, point (M,) row."""
+    """Points (P, 3), model units, and their observations: image (M,) scene index, point (M,) row."""
     ids = list(reconstruction.points3D)
     xyz = np.array([reconstruction.points3D[k].xyz for k in ids]).reshape(-1, 3)
     row = {k: n for n, k in enumerate(ids)}
@@ -260,7 +260,7 @@ def sensor_id(camera_id: int) -> pycolmap.sensor_t:
 
 
 def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[Rig, ...]:
-    """The scene's rigs with the cameras and extrinsics of a model (its units); what it does not hold stays as given."""
+    """The scene's rigs with the cameras and extrinsics of a model (its units); others stay as given."""
     out = []
     for index, (first, rig) in enumerate(scene.keyed_rigs):
         sensors = [
@@ -282,11 +282,11 @@ def _get(table: Any, key: int, otherwise: Any) -> Any:
 
 
 def merged(models: Sequence[pycolmap.Reconstruction]) -> pycolmap.Reconstruction:
-    """One model of the registered images of all, which must stand in one frame and unit; ids of cameras, rigs, frames
+    """One model of the registered images of all, which must be in one frame and unit; ids of cameras, rigs, frames
     and images of the first model stay.
 
-    Models that were adjusted apart calibrated their cameras and rigs apart: each brings its own, under ids of its own.
-    An image that an earlier model has is left out of a later one, and so are points that then lack two images.
+    Models that were adjusted separately have separate calibrations: each brings its own, under new ids.
+    An image of an earlier model is left out of a later one, and so are points that then have less than two images.
     """
     out = pycolmap.Reconstruction()
     for model in models:

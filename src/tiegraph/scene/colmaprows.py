@@ -3,7 +3,7 @@
 Features and matches are the rows of ``scene.colmapdatabase``.
 
 Ids: image_id = scene index + 1, camera_id = sensor key + 1, rig_id = rig index + 1, frame_id = frame + 1. Rows are
-written here and not by ``pycolmap.apply_rig_config``, which tells rigs apart by folder prefix and so would make one rig
+written here and not by ``pycolmap.apply_rig_config``, which identifies rigs by folder prefix and so would make one rig
 of each pass.
 
 COLMAP 4.2's mappers, incremental and global, give no model at all when one sensor of a rig lacks its extrinsics. Such a
@@ -28,19 +28,19 @@ from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
-DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and of its log, generously
-_IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, generously
+DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and of its log, an upper bound
+_IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, an upper bound
 
 
 def create_database(path: Path, scene: Scene) -> None:
     """Write a new database with the cameras, rigs, frames, images and position priors of a scene.
 
-    Sensors of unknown extrinsics stand alone (see above). The file appears whole or not at all. Raises InputError for a
+    Sensors of unknown extrinsics are rigs of their own (see above). The file appears whole or not at all. Raises
     sensor without a camera or a full disk.
     """
     for sensor in scene.all_sensors:
         if sensor.camera is None:
-            raise InputError(f"sensor {sensor.name!r} has no camera: no image of it was found, take it off the rig")
+            raise InputError(f"sensor {sensor.name!r} has no camera: no image of it was found, remove it from the rig")
     try:
         with replacing(path) as temporary:
             limits.need_room(path, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
@@ -79,7 +79,7 @@ def write_working_copy(
     refused: Sequence[tuple[int, int]] = (),
     only: np.ndarray | None = None,
 ) -> None:
-    """Copy what a mapper needs of ``source`` to a new database ``target``.
+    """Copy the data for a mapper from ``source`` to a new database ``target``.
 
     ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
     unknown there, become frames of their own. ``positions``: prior positions (F, 3) of the frames and their variances
@@ -90,10 +90,10 @@ def write_working_copy(
     names = None if only is None else {scene.names[k] for k in only.tolist()}
     copy_verified(source, target, names, [(scene.names[i], scene.names[j]) for i, j in refused])
     with writing(target) as database:
-        # Images of the database by scene index; one whose name the scene does not have is left out of every frame
+        # Images of the database by scene index; one whose name the scene lacks is left out of every frame
         found = {scene.image_index.get(image.name): image for image in database.read_all_images()}
         images = {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
-        # What the previews found of a guessed focal length is a better start than the guess.
+        # The focal length by the previews is a better initial value than the guess.
         for key, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
             if scene.all_sensors[key].camera is not None:
                 database.update_camera(_camera(scene.all_sensors[key].camera, camera_id))
@@ -133,7 +133,7 @@ def _write_frames(
 
 
 def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
-    """COLMAP's rig of the sensors that have images; without images of the reference, the next sensor takes its part."""
+    """COLMAP's rig of the sensors that have images; without images of the reference, the next sensor replaces it."""
     row = pycolmap.Rig(rig_id=rig_id)
     first, *others = sorted(cameras)
     row.add_ref_sensor(sensor_id(cameras[first]))

@@ -24,7 +24,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import some
 
-MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
+MIN_MARKS = 2  # of a point that can be triangulated: two rays meet
 NEAR_M = 1000.0  # beyond the positions of the survey, where control points still lie
 FAR_M = 100_000.0  # farther from the survey's positions than this, the coordinates are of another CRS or axis order
 _SHOWN = 3
@@ -32,7 +32,7 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class TargetMark:
-    """Where a coded target was found: the name that the file has for it, scene index, pixel of the prepared image."""
+    """A detected coded target: its name in the file, scene index, pixel of the prepared image."""
 
     name: str
     image: int
@@ -43,8 +43,8 @@ class TargetMark:
 @dataclass(frozen=True)
 class Marks(Columns):
     """M marks: rows of their points and scene indices of their images (M,), xy_px (M, 2) in COLMAP's pixels of the
-    prepared image, line (M,) in the file, 0 = found by itself, sigma_px (M,), NaN = as of one set by hand; file_px
-    (M, 2) as the file has it, NaN = as it is, orientation (M,) of the image by EXIF, for what was marked in a copy."""
+    prepared image, line (M,) in the file, 0 = detected, sigma_px (M,), NaN = that of a manual mark; file_px
+    (M, 2) as in the file, NaN = xy_px, orientation (M,) of the image by EXIF, for marks made in a copy."""
 
     point: np.ndarray
     image: np.ndarray
@@ -98,12 +98,12 @@ def locate(
     """The points of a file in the scene's world and their marks in its images.
 
     Without positions in the scene the world is made from the points, in ``crs`` ("auto": the file's own if it is
-    projected, else the UTM zone). ``found``: coded targets; a mark in the file goes before one found. ``orientation``:
-    by EXIF, of images by scene index, 1 where it is not named. Marks in images that are not here, or where the images
-    were cropped, are left out and said with file and line, and so are points that keep less than two. Raises InputError
-    if no mark is in an image of the survey, if one lies outside its image and they lie inside in no copy of the images
-    (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, far from the
-    survey, or at heights beyond ``heights_m``.
+    projected, else the UTM zone). ``found``: coded targets; a mark in the file precedes a detected one.
+    ``orientation``: by EXIF, of images by scene index, 1 if not listed. Marks in images that are not here, or where the
+    images were cropped, are left out and noted with file and line, and so are points that keep less than two. Raises
+    InputError if no mark is in an image of the survey, if one lies outside its image and in no copy of the images do
+    all lie inside (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, far
+    from the survey, or at heights beyond ``heights_m``.
     """
     notes = list(file.notes)
     marks = _marks_of(file, scene, [p.name for p in file.points], found, notes, orientation)
@@ -134,9 +134,9 @@ def locate_bars(
     found: Sequence[TargetMark] = (),
     orientation: Mapping[int, int] | None = None,
 ) -> ScaleBars | None:
-    """The scale bars of a file with the marks of their ends; None without any. Raises what ``locate`` raises of marks.
+    """The scale bars of a file with the marks of their ends; None without any. Raises as ``locate`` for marks.
 
-    What there is to say of marks is said by ``locate`` where the file has points too.
+    Notes on marks come from ``locate`` if the file has points too.
     """
     if not file.bars:
         return None
@@ -159,7 +159,7 @@ def _marks_of(
     notes: list[str],
     orientation: Mapping[int, int] | None,
 ) -> Marks:
-    """The marks of some names: those of the file, and targets found in images where the file marks none."""
+    """The marks of some names: those of the file, and targets detected in images without a mark in the file."""
     turned = orientation or {}
     given = _marks_in(file, scene, notes, turned) if file.marks else []
     own = [(mark, image, xy) for mark, image, xy in given if mark.name in names]
@@ -202,7 +202,7 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
             f"{file.of_marks.name}, line {mark.line}: image {mark.image!r} is not in the survey; mark left out"
         )
     if len(unknown) > _SHOWN:
-        notes.append(f"{file.of_marks.name}: {len(unknown)} marks in all name images that are not in the survey")
+        notes.append(f"{file.of_marks.name}: {len(unknown)} marks in total name images that are not in the survey")
     return np.array(found, int), keep
 
 
@@ -214,7 +214,7 @@ def _marks_in(
     inside = _check_inside(file, dict(zip(keep, image.tolist())), scene, turned)
     if not inside:
         notes.append(
-            f"{file.of_marks.name}: marks lie outside their images; made in larger or turned ones, rays will tell"
+            f"{file.of_marks.name}: marks lie outside their images; made in larger or rotated ones, the rays decide"
         )
     marks, cut = [], []
     first: dict[tuple[str, int], FileMark] = {}
@@ -223,7 +223,7 @@ def _marks_in(
         if known is not mark and known.xy != mark.xy:  # one image by two names
             raise InputError(
                 f"{file.of_marks}, line {mark.line}: point {mark.name!r} is marked in {scene.source_name(index)} at "
-                f"{mark.xy}, but in line {known.line} at {known.xy}: leave the right one"
+                f"{mark.xy}, but in line {known.line} at {known.xy}: keep the right one"
             )
         sensor = scene.sensor_of(index)
         xy = prepared_pixel(mark.xy, sensor)
@@ -266,7 +266,7 @@ def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned
 
 
 def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
-    own = [p.name not in file.targets for p in file.points]  # of targets it is said where they are searched for
+    own = [p.name not in file.targets for p in file.points]  # notes on targets come from their search
     few = np.flatnonzero((count < MIN_MARKS) & own)
     if not len(few):
         return
@@ -290,7 +290,7 @@ def _origin_of_points(file: GcpFile, crs: str) -> Origin:
     if file.crs is None:
         if crs in ("auto", ENU):
             raise InputError(
-                f"--gcp {file.path}: nothing says in which CRS its coordinates are, and the survey has no positions: "
+                f"--gcp {file.path}: the CRS of its coordinates is unknown, and the survey has no positions: "
                 "begin the file with a line '# EPSG:n', or set --scan.crs"
             )
         own = crs
@@ -333,8 +333,8 @@ def surveyed_world(file: GcpFile, origin: Origin) -> np.ndarray:
 
 
 def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
-    """Points must lie where the survey's positions are; says so where exchanged axes would bring them there, also from
-    a place that is not far: plane coordinates of a country lie about the origin of its zone."""
+    """Points must lie near the survey's positions; the error tells if exchanged axes would bring them there, even over
+    short distances: plane coordinates of a country lie about the origin of its zone."""
     prior = scene.world_from_rig[:, :3, 3]
     prior = prior[np.isfinite(prior).all(axis=1)]
     if scene.origin is None or not len(prior):

@@ -16,7 +16,7 @@ from tiegraph.scene.cloudfile import las_cloud, las_header, las_points, shift_of
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
-_CELLS = 128  # cells along the edge of a node, of which each keeps one point: a surface fills some 16 000
+_CELLS = 128  # cells along the edge of a node, each with at most one point: a surface fills some 16 000
 _INFO = struct.Struct("<5d2Q2d88x")
 _ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("bytes", "<i4"), ("points", "<i4")])
 _EVLR = struct.Struct("<H16sHQ32s")
@@ -24,14 +24,14 @@ _EVLR = struct.Struct("<H16sHQ32s")
 
 @dataclass(frozen=True)
 class _Octree:
-    """The root cube in the file's coordinates, and the level at which all points that are left are kept."""
+    """The root cube in the file's coordinates, and the level at which all remaining points are kept."""
 
     low: np.ndarray  # (3,)
     side: float
     depth: int
 
     def keys(self, xyz: np.ndarray) -> np.ndarray:
-        """(4, N) level, x, y, z of the node that keeps each point: the coarsest with a free cell."""
+        """(4, N) level, x, y, z of the node of each point: the coarsest with a free cell."""
         finest = max(self.depth, 1) - 1
         where = np.clip((xyz.T - self.low[:, None]) / self.side, 0, 1 - 1e-12)
         cells = (where * (_CELLS << finest)).astype(np.int64)
@@ -50,7 +50,7 @@ class _Octree:
 
 @dataclass(frozen=True)
 class _Spill:
-    """Point records sorted by node within each part, in one file, and where the run of each node and part is."""
+    """Point records sorted by node within each part, in one file, and the place of each node's and part's run."""
 
     rows: np.ndarray  # memory map of records
     keys: np.ndarray  # (S, 4) node of each run
@@ -73,8 +73,8 @@ def write_copc(
     """Write a cloud as COPC: any reader of LAZ 1.4 reads it, viewers show it without loading all of it.
 
     ``parts()`` gives the cloud part by part, each time it is called; ``spacing`` of the points (units of the world)
-    sets how deep the octree is. Memory is that of one part and a batch of nodes; the folder ``scratch`` holds the
-    records once more while it is written; ``said`` (ASCII) stands in its header. Returns remarks as ``write_cloud``.
+    sets the depth of the octree. Memory is that of one part and a batch of nodes; the folder ``scratch`` has a second
+    copy of the records meanwhile; ``said`` (ASCII) is text of the header. Returns remarks as ``write_cloud``.
     Raises TiegraphError for a full disk.
     """
     first, low, high = _extent(parts())
@@ -131,7 +131,7 @@ def _write(
     out: BinaryIO, header: laspy.LasHeader, tree: _Octree, spill: _Spill, low: np.ndarray, high: np.ndarray
 ) -> None:
     laz = lazrs.LazVlr.new_for_compression(header.point_format.id, header.point_format.num_extra_bytes, True)
-    info = laspy.VLR("copc", 1, "COPC info VLR", bytes(_INFO.size))  # the standard wants it to be the first
+    info = laspy.VLR("copc", 1, "COPC info VLR", bytes(_INFO.size))  # first, by the standard
     header.vlrs.insert(0, info)
     header.vlrs.append(laspy.VLR("laszip encoded", 22204, "lazperf variant", bytes(laz.record_data())))
     header.are_points_compressed = True
@@ -173,7 +173,7 @@ def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> l
 
 
 def _entries(out: BinaryIO, laz: lazrs.LazVlr, keys: list[np.ndarray], first: int) -> np.ndarray:
-    """The hierarchy: where the chunk of each node is, by the chunk table that LAZ has."""
+    """The hierarchy: the place of each node's chunk, by LAZ's chunk table."""
     entries = np.zeros(len(keys), _ENTRY)
     if not keys:
         return entries
@@ -197,7 +197,7 @@ def copc_box(path: Path, origin: Origin | None, low: np.ndarray, high: np.ndarra
 
 
 def copc_sample(path: Path, origin: Origin | None, most: int) -> Cloud:
-    """At most about ``most`` of the points of a COPC file, each with the same chance; all are read, part by part."""
+    """About ``most`` of the points of a COPC file, each with the same probability; all are read, part by part."""
     with laspy.open(path) as reader:
         step = max(1, reader.header.point_count // most)
         parts = [p[:: min(step, len(p))] for p in reader.chunk_iterator(1_000_000)]

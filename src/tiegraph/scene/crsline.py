@@ -1,4 +1,4 @@
-"""The coordinate system that a line of a table names: the first of ODM's files, a comment above a header."""
+"""The coordinate system named in a line of a table: the first of ODM's files, a comment above a header."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _COMMENT = re.compile(
 
 
 def crs_above(lines: Iterable[tuple[int, str]], path: object) -> pyproj.CRS | None:
-    """The CRS of the first comment line that names one, as ``# crs: EPSG:6677``, or as Metashape writes it, above a
-    table's header. Raises InputError for one that is none."""
+    """The CRS of the first comment line that names one, as ``# crs: EPSG:6677``, or in Metashape's form, above a
+    table's header. Raises InputError for an invalid one."""
     for number, line in lines:
         if line[0] not in "#%":
             break
@@ -33,7 +33,7 @@ def crs_above(lines: Iterable[tuple[int, str]], path: object) -> pyproj.CRS | No
 
 
 def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
-    """The CRS that a text names: an EPSG code, a PROJ string, WKT, the name in EPSG's registry (WGS84 alone is that of
+    """The CRS of a text: an EPSG code, a PROJ string, WKT, the name in EPSG's registry (WGS84 alone is that of
     degrees) or "WGS84 UTM 54N".
 
     Raises InputError, which ends with ``more``.
@@ -60,17 +60,17 @@ def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
 
 
 def say_axes(crs: pyproj.CRS, name: str) -> tuple[str, ...]:
-    """What to say of x and y of a file in a grid whose X counts to the north, as surveyors' does in many countries."""
+    """A note on x and y of a file in a grid whose X is the northing, as in many countries' surveying."""
     if not (crs.is_projected and crs.axis_info[0].direction.lower() == "north"):
         return ()
     return (
-        f"{name}: X of {crs.name} counts to the north, but x is read as the easting and y as the northing; if x is the "
+        f"{name}: X of {crs.name} is the northing, but x is read as the easting and y as the northing; if x is the "
         "northing here, give a CSV whose header says northing and easting",
     )
 
 
 def units_of(crs: pyproj.CRS | None) -> tuple[float, float, float]:
-    """Metres of the units of east, north and height of a grid, in that of east where it has no heights."""
+    """Metres of the units of east, north and height of a grid, in that of east if it has no heights."""
     if crs is None or not crs.is_projected:
         return (1.0, 1.0, 1.0)
     axes = [a.unit_conversion_factor for a in crs.axis_info]
@@ -78,8 +78,8 @@ def units_of(crs: pyproj.CRS | None) -> tuple[float, float, float]:
 
 
 def exchanged(crs: str, places: np.ndarray) -> int | None:
-    """Index of the first of places (N, 2), latitude and longitude or east and north of a grid, that can only be meant
-    the other way round: latitudes above 90, or outside the grid's area of use."""
+    """Index of the first of places (N, 2), latitude and longitude or east and north of a grid, that must be
+    exchanged: latitudes above 90, or outside the grid's area of use."""
     import pyproj
 
     if pyproj.CRS.from_user_input(crs).is_geographic:
@@ -90,7 +90,7 @@ def exchanged(crs: str, places: np.ndarray) -> int | None:
 
 
 def coordinates_of(table: Table, crs: str | None, notes: list[str]) -> tuple[tuple[str, str, str], str | None]:
-    """Roles of the columns of places and their CRS: degrees with the height above the ellipsoid where they are there,
+    """Roles of the columns of places and their CRS: degrees with the height above the ellipsoid if they exist,
     unless a line names a grid; else those of a grid, which a column may name."""
     degrees = table.find("latitude") is not None and table.find("longitude") is not None
     grid = table.find("easting") is not None and table.find("northing") is not None

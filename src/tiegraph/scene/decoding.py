@@ -1,5 +1,5 @@
-"""Image files opened and decoded: by Pillow, with a plugin for HEIC; by OpenCV where Pillow hides what is deeper than 8
-bits; raw files of cameras by LibRaw. And how deeper pixels become those of 8 bits."""
+"""Image files opened and decoded: by Pillow, with a plugin for HEIC; by OpenCV if Pillow hides more than 8 bits; raw
+files of cameras by LibRaw. And the conversion of deeper pixels to 8 bits."""
 
 import importlib
 import io
@@ -31,7 +31,7 @@ _NO_RAW = "raw files of cameras are read by rawpy, which is missing: pip install
 Levels = tuple[float, float]
 """Values of a file that become 0 and 255."""
 EIGHT_BIT: Levels = (0, 255)
-_LEVELS_PERCENT, _LEVELS_PX = (0.1, 99.9), 1_000_000  # a hot pixel is none of a thousand; so many pixels tell
+_LEVELS_PERCENT, _LEVELS_PX = (0.1, 99.9), 1_000_000  # without hot pixels; a sample of this size is enough
 
 
 class Unreadable(OSError):
@@ -40,7 +40,7 @@ class Unreadable(OSError):
 
 @dataclass(frozen=True)
 class Opened:
-    """An image file: its header as Pillow reads it, None where OpenCV alone knows the format, and its bytes."""
+    """An image file: its header as Pillow reads it, None if only OpenCV knows the format, and its bytes."""
 
     image: Image.Image | None
     data: bytes
@@ -48,13 +48,13 @@ class Opened:
 
     @cached_property
     def orientation(self) -> int:
-        """By EXIF, of what ``pixels`` returns: TIFF and HEIC come upright."""
+        """By EXIF, of the result of ``pixels``: TIFF and HEIC come upright."""
         upright = self.image is None or self.image.format in ("TIFF", "HEIF")
         return 1 if upright else orientation_in(self.image)
 
     @cached_property
     def deep(self) -> bool:
-        """Whether Pillow does not show the pixels as they are stored: 16 bits, floating point."""
+        """Whether Pillow does not show the stored pixel depth: 16 bits, floating point."""
         image = self.image
         if image is None or self.raw or image.mode in ("I", "F") or image.mode.startswith("I;"):
             return True
@@ -66,9 +66,9 @@ class Opened:
         return wide or image.format == "JPEG2000" or (image.format == "PNG" and self.data[24:25] == b"\x10")
 
     def pixels(self) -> np.ndarray:
-        """Grey (H, W), RGB, or, where parts are transparent, RGBA (H, W, 3 or 4), as deep as stored.
+        """Grey (H, W), RGB, or, if parts are transparent, RGBA (H, W, 3 or 4), as deep as stored.
 
-        Raises Unreadable, and whatever decoders raise: OSError, SyntaxError, ValueError, struct.error and more.
+        Raises Unreadable, and the errors of decoders: OSError, SyntaxError, ValueError, struct.error and more.
         """
         if self.raw:
             return _developed(self.data)
@@ -92,8 +92,8 @@ class Opened:
 
 
 def opened(data: bytes, suffix: str = "") -> Opened:
-    """An image file by its bytes and the end of its name. Raises Unreadable where a library is missing or its header
-    says more pixels than are read, and what Pillow raises of a broken header."""
+    """An image file by its bytes and the end of its name. Raises Unreadable if a library is missing or its header
+    announces too many pixels, and the errors of Pillow for a broken header."""
     if suffix.lower() in RAW:
         return Opened(_header_of_raw(data), data, raw=True)
     try:
@@ -107,7 +107,7 @@ def opened(data: bytes, suffix: str = "") -> Opened:
 
 
 def open_image(data: bytes) -> Image.Image:
-    """PIL image of a file's bytes, not yet decoded; decoding will fail rather than fill in what is missing."""
+    """PIL image of a file's bytes, not yet decoded; decoding will fail rather than fill in missing parts."""
     ImageFile.LOAD_TRUNCATED_IMAGES = False
     Image.MAX_IMAGE_PIXELS = LARGEST_PX
     _register()
@@ -124,21 +124,21 @@ def _register() -> None:
 
 
 def _header_of_raw(data: bytes) -> Image.Image | None:
-    """An empty picture with the EXIF and XMP of a raw file: its own, as most are TIFF by one name or another, else the
-    JPEG in it, with its."""
+    """An empty picture with the EXIF and XMP of a raw file: its own, as most are TIFF with another name, else that of
+    the JPEG in it."""
     header = Image.new("1", (1, 1))
     try:
         header.getexif().load(b"II*\0" + data[4:] if data[:2] == b"II" else data)
         header.info["xmp"] = header.getexif().get(XMP_TAG, b"")
         return header
-    except Exception:  # no TIFF; of a damaged one PIL raises anything from struct.error to SyntaxError
+    except Exception:  # no TIFF; for a damaged one PIL raises anything from struct.error to SyntaxError
         pass
     try:
         import rawpy
 
         with rawpy.imread(io.BytesIO(data)) as raw:
             return open_image(bytes(raw.extract_thumb().data))
-    except Exception:  # no JPEG in it, or none that is known; whether rawpy is there is said when it is decoded
+    except Exception:  # no JPEG in it, or an unknown one; a missing rawpy is reported when it is decoded
         return None
 
 
@@ -157,7 +157,7 @@ def _developed(data: bytes) -> np.ndarray:
 
 def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """Pixels (H, W[, C]) upright, by their EXIF orientation."""
-    # EXIF: the number says where the first row and column of the file lie in the upright picture.
+    # EXIF: the number gives the place of the file's first row and column in the upright picture.
     if orientation in (5, 6, 7, 8):
         pixels = np.swapaxes(pixels, 0, 1)
     if orientation in (2, 3, 6, 7):
@@ -186,7 +186,7 @@ def read_pixels(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray | No
 
 
 def opaque(path: Path) -> np.ndarray | None:
-    """(H, W) bool: what of an image is not transparent; None if it has no transparency, which its header says."""
+    """(H, W) bool: the opaque part of an image; None if it has no transparency by its header."""
     try:
         with Image.open(path) as image:
             return np.asarray(image.getchannel("A")) > 0 if image.mode == "RGBA" else None
@@ -195,7 +195,7 @@ def opaque(path: Path) -> np.ndarray | None:
 
 
 def levels_of(pixels: np.ndarray) -> Levels:
-    """The range that nearly all pixels (H, W) or (H, W, C) of a file deeper than 8 bits use, and no hot pixel tells:
+    """The range that nearly all pixels (H, W) or (H, W, C) of a file deeper than 8 bits use, without hot pixels:
     sensors of 10 to 14 bits and temperatures in hundredths of a kelvin fill a small part of the 16."""
     if pixels.dtype == np.uint8:
         return EIGHT_BIT
@@ -210,8 +210,8 @@ def levels_of(pixels: np.ndarray) -> Levels:
 
 
 def eight_bit(pixels: np.ndarray, levels: Levels) -> np.ndarray:
-    """Pixels (H, W[, 3 | 4]) with 8 bits: those of a deeper file by its camera's levels, with what lies beyond them cut
-    off. Of alpha 0 stays 0, and all else becomes 255."""
+    """Pixels (H, W[, 3 | 4]) with 8 bits: those of a deeper file by its camera's levels, clipped to them. Alpha 0
+    stays 0, and all other values become 255."""
     if pixels.dtype == np.uint8:
         return pixels
     if pixels.shape[2:] == (4,):

@@ -1,16 +1,16 @@
-"""What says what of a survey, with which sigma, and where two of them cannot both be right.
+"""Statements of sources about a survey, with their sigmas, and contradictions between them.
 
-A *statement* is one source's value of one quantity: the rig's file of the scale, the images of it, the positions of it.
-Statements of one quantity are tested against each other; so are residuals against what noise looks like (``trend``): a
+A *statement* is one source's value of one quantity: the scale by the rig's file, by the images, by the positions.
+Statements of one quantity are tested against each other; residuals are tested against noise (``trend``): a
 line, a curve or a step is not noise.
 
 Two statements contradict each other beyond 3.29 sigmas, a chance of 0.1 %. ``trend`` tests residuals for a line, a
 curve, a step and an offset by generalised least squares over a first-order process. ``sparse`` states times,
 mountings and lenses (rig as given, images); ``georef`` scale, heading, tilt, place, height and clock (positions,
-control points, rig, gravity, orientations); ``evaluate`` its references. What contradicts is a sentence in
+control points, rig, gravity, orientations); ``evaluate`` its references. A contradiction is a sentence in
 ``Outcome.contradictions``: a line with ``!`` in the terminal, a box in the report, whose verdict is then *doubtful*.
-What is used is decided by the tests (``sfm.world.weighing``): the baseline of a rig gives way to positions that fit
-without a trend; where nothing tells which source is right, the sigma of the scale covers both.
+The tests decide which sources are used (``sfm.world.weighing``): the baseline of a rig gives way to positions that fit
+without a trend; if no test decides which source is right, the sigma of the scale covers both.
 """
 
 from collections.abc import Sequence
@@ -22,21 +22,21 @@ from scipy.special import fdtrc, ndtri, stdtr
 
 from tiegraph.scene.tuning import TrendTuning
 
-# What a contradiction is, wherever one is told: by the chance, for each test, that what agrees is called one.
+# The limit of a contradiction, everywhere: by the probability, for each test, that agreement is called one.
 CHANCE = 0.001
 LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
-RARELY = f"which chance does once in {1 / CHANCE:.0f} surveys at most"  # goes after what a test below says
+RARELY = f"which chance does once in {1 / CHANCE:.0f} surveys at most"  # follows the result of a test below
 
 
 def fits_better(before: float, after: float, free: int) -> bool:
-    """Whether another reading of the same values leaves smaller errors (root mean squares) than chance would have it:
-    the ratio of their squares against Fisher's distribution. ``free``: values less unknowns; of errors of neighbours,
-    which are alike, no more than the fewest values that speak."""
+    """Whether another interpretation of the same values leaves errors (root mean squares) smaller than by chance:
+    the ratio of their squares against Fisher's distribution. ``free``: values less unknowns; for correlated errors of
+    neighbours, no more than the effective number of values."""
     return free > 0 and bool(fdtrc(free, free, (before / max(after, 1e-12)) ** 2) <= CHANCE)
 
 
 def mostly_more(differences: np.ndarray, tries: int) -> bool:
-    """Whether paired differences (K,) are above zero by more than chance (Student's t), the best of so many tries."""
+    """Whether paired differences (K,) are above zero by more than chance (Student's t), the best of several tries."""
     count = len(differences)
     if count < 2 or not np.mean(differences) > 0:
         return False
@@ -46,7 +46,7 @@ def mostly_more(differences: np.ndarray, tries: int) -> bool:
 
 @dataclass(frozen=True)
 class Statement:
-    """What one source says of one quantity. ``value`` and ``sigma`` in ``unit``; ``used``: the result rests on it."""
+    """The value of one source for a quantity. ``value`` and ``sigma`` in ``unit``; ``used``: the result rests on it."""
 
     quantity: str  # "scale", "heading", "tilt", "clock", "place of cam1", "focal length of cam0", ...
     source: str  # "rig as given", "images", "GNSS positions", "control points", "EXIF", "gravity", ...
@@ -72,7 +72,7 @@ class Contradiction:
 
 
 def contradictions(statements: Sequence[Statement]) -> list[Contradiction]:
-    """Statements of one quantity that cannot both be right, the worst first; without a sigma one says nothing."""
+    """Contradictory statements of one quantity, the worst first; those without a sigma are not tested."""
     known = [s for s in statements if np.isfinite([s.value, s.sigma]).all() and s.sigma > 0]
     out = []
     for a, b in combinations(known, 2):
@@ -84,7 +84,7 @@ def contradictions(statements: Sequence[Statement]) -> list[Contradiction]:
 
 
 def table(statements: Sequence[Statement]) -> dict:
-    """Table of a receipt, one statement a row; what contradicts it in the last column."""
+    """Table of a receipt, one statement a row; contradicting ones in the last column."""
     found = contradictions(statements)
     rows = []
     for s in statements:
@@ -96,9 +96,9 @@ def table(statements: Sequence[Statement]) -> dict:
 
 @dataclass(frozen=True)
 class Trend:
-    """Form of residuals along the way that noise does not take: from ``start`` to ``end``, a curve by ``bow`` off the
-    straight line between; a step after the share ``at`` of them. ``chance``: that noise does it; ``sigmas``: half its
-    size in sigmas of the values, of an offset its size."""
+    """Form of residuals along the path that noise does not have: from ``start`` to ``end``, a curve by ``bow`` off the
+    straight line between; a step after the share ``at`` of them. ``chance``: its probability in noise; ``sigmas``: half
+    its size in sigmas of the values, of an offset its size."""
 
     form: str  # line, curve, step, offset
     start: float
@@ -114,7 +114,7 @@ class Trend:
         return 2 * abs(self.start) if self.form == "offset" else max(abs(self.end - self.start), abs(self.bow))
 
     def text(self, unit: str = "m") -> str:
-        """The form in words, with its figures; goes after "the residuals"."""
+        """The form in words, with its figures; follows "the residuals"."""
         if self.form == "offset":
             return f"stand off by {self.start:+.2g} {unit} all the time"
         if self.form == "line":
@@ -133,13 +133,13 @@ def trend(
 ) -> Trend | None:
     """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
 
-    ``offset``: or the constant, where they ought to be about zero. A step may have a line beside it: residuals are what
-    a fit has left, and it follows a step by turning.
+    ``offset``: or the constant, if they should be about zero. A step may have a line beside it: residuals of a
+    fit follow a step by rotating.
 
     Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two of
     its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
-    least squares and Student's t). Single bad values are left out, and few values say nothing. ``tests``: how many
-    series are looked at, so that all together alarm at 0.1 %. ``sigma`` (K,): of values that are not equally good.
+    least squares and Student's t). Single bad values are left out, and few values give no result. ``tests``: number of
+    tested series, so that all together alarm at 0.1 %. ``sigma`` (K,): of values of unequal accuracy.
     """
     y = np.asarray(values, float)
     x, sigma = np.linspace(-1.0, 1.0, len(y)), np.broadcast_to(np.asarray(sigma, float), y.shape)
@@ -162,8 +162,8 @@ def trend(
 
 
 def _best_step(y: np.ndarray, beside: np.ndarray, sigma: np.ndarray, side: int) -> np.ndarray:
-    """The step that parts values (K,) best beside a form (K, P) that begins with a constant, which is left away: (K, P)
-    with the step as its last column. So many values at least are on either ``side``."""
+    """The step that divides values (K,) best beside a form (K, P) that begins with a constant, which is omitted: (K, P)
+    with the step as its last column. At least ``side`` values on either side."""
     cuts = np.arange(side, len(y) - side + 1)
     steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
     y, told = y / sigma, steps / sigma[:, None]
@@ -197,7 +197,7 @@ def _tested(y: np.ndarray, sigma: np.ndarray, form: str, shape: np.ndarray, trie
 
 
 def _correlation(rest: np.ndarray, unknowns: int, tuning: TrendTuning) -> float:
-    """Lag-one correlation of residuals about a form, freed of its bias and raised by some sigmas; from 0, below 1."""
+    """Lag-one correlation of residuals about a form, without bias and raised by some sigmas; from 0, below 1."""
     count = len(rest)
     r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
     r += (unknowns + (unknowns + 2) * r) / count

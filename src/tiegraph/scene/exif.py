@@ -1,4 +1,4 @@
-"""What a camera wrote into its file: focal length, position, time, orientation."""
+"""Metadata that a camera wrote into its file: focal length, position, time, orientation."""
 
 import re
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _EXPOSURE_S, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _FOCAL_MM, _FOCAL_35MM, _LENS, _ZOOM = 0x920A, 0xA405, 0xA434, 0xA404
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
-# Where Adobe's programs write the same: tag, namespace and name in XMP.
+# Tags by which Adobe's programs write the same: tag, namespace and name in XMP.
 _BASE_IN_XMP = ((_MAKE, "tiff", "Make"), (_MODEL, "tiff", "Model"))
 _DETAIL_IN_XMP = ((TIME_ORIGINAL, "exif", "DateTimeOriginal"), (_FOCAL_MM, "exif", "FocalLength"),
                   (_FOCAL_35MM, "exif", "FocalLengthIn35mmFilm"), (_LENS, "aux", "Lens"))  # fmt: skip
@@ -36,7 +36,7 @@ _CLOCK_OFF_S = 120.0  # of a camera whose receiver tells its zone: half of the l
 
 @dataclass(frozen=True)
 class Exif:
-    """EXIF facts in SI units; NaN or "" = not written or not believable."""
+    """EXIF facts in SI units; NaN or "" = not written or not plausible."""
 
     orientation: int = 1  # 1..8
     focal_px: float = NAN  # pixels of the image as stored
@@ -47,19 +47,19 @@ class Exif:
     height_sigma_m: float = NAN
     time_s: float = NAN  # seconds since 1970; in the camera's own clock and zone unless time_utc
     time_utc: bool = False
-    zone_s: float = NAN  # what that clock is ahead of UTC by the receiver's time, in whole quarters of an hour
+    zone_s: float = NAN  # offset of that clock from UTC by the receiver's time, in whole quarters of an hour
     make: str = ""
     model: str = ""
     lens: str = ""
     focal_mm: float = NAN
     zoom: float = 1.0  # digital: the middle of the sensor's picture, enlarged
-    exposure: float = NAN  # time in s x ISO / (f-number squared); a fixed aperture or ISO may be left away
+    exposure: float = NAN  # time in s x ISO / (f-number squared); a fixed aperture or ISO may be missing
     rig: RigTags = RigTags()
-    doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
+    doubt: str = ""  # doubt about the position as written; it is used nevertheless if lat_deg is finite
 
 
 def orientation_of(path: Path) -> int:
-    """EXIF orientation of an image file, 1 to 8; 1 where nothing says it."""
+    """EXIF orientation of an image file, 1 to 8; 1 if it has none."""
     try:
         with Image.open(path) as image:
             return orientation_in(image)
@@ -68,7 +68,7 @@ def orientation_of(path: Path) -> int:
 
 
 def orientation_in(image: Any) -> int:
-    """EXIF orientation of an opened PIL image, 1 to 8; 1 where nothing says it."""
+    """EXIF orientation of an opened PIL image, 1 to 8; 1 if it has none."""
     try:
         return _orientation(image.getexif())
     except Exception:  # see read_exif
@@ -77,7 +77,7 @@ def orientation_in(image: Any) -> int:
 
 def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float]) -> Exif:
     """EXIF of an opened PIL image, whose pixels are ``size`` (width, height); damaged entries count as not written, as
-    do focal lengths out of a range (in longer image sides)."""
+    do focal lengths outside a range (in longer image sides)."""
     try:
         base = image.getexif()
         detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
@@ -118,7 +118,7 @@ def _with_xmp(table: dict, xmp: str, names: tuple[tuple[int, str, str], ...]) ->
 
 
 def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
-    """Where EXIF and XMP say the image was taken, NaN where not written or not believable, and what is doubtful."""
+    """Position of an image by EXIF and XMP, NaN if not written or not plausible, and doubts about it."""
     if rtk and np.isfinite(xmp.height_m) and SIGMA_RANGE_M[0] <= xmp.sigma_m <= SIGMA_RANGE_M[1]:
         if abs(xmp.lat_deg) <= 90 and abs(xmp.lon_deg) <= 180 and (xmp.lat_deg, xmp.lon_deg) != (0, 0):
             return xmp, ""
@@ -150,19 +150,19 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
     if _text(gps.get(9)).upper() == "V":
         return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
     if not known:
-        return place, "nothing says whether it is north or south, east or west (N and E assumed)"
+        return place, "north or south, east or west are not given (N and E assumed)"
     return place, doubt
 
 
 def _rounds(coarse_deg: float, fine_deg: float) -> bool:
-    """Whether an angle in whole seconds, or tenths, ... of them stands for another."""
+    """Whether an angle was rounded to whole seconds, or tenths of them, in place of another."""
     coarse, fine = coarse_deg * 3600, fine_deg * 3600
     digits = next((k for k in range(5) if abs(coarse * 10**k - round(coarse * 10**k)) < 1e-3), 5)
     return abs(coarse - fine) <= 10.0**-digits
 
 
 def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
-    """A position in the datum that EXIF names, in WGS 84, and what is doubtful."""
+    """A position in the datum of EXIF, converted to WGS 84, and doubts about it."""
     plain = re.sub(r"[^A-Z0-9]", "", datum.upper())
     if plain == "TOKYO":
         lon, lat, _ = crs_transformer(_TOKYO).transform(place.lon_deg, place.lat_deg, 0.0, "INVERSE")
@@ -172,7 +172,7 @@ def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
 
 
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
-    """Focal length in pixels of the file, told by its 35 mm equivalent or by the size of a pixel."""
+    """Focal length in pixels of the file, by its 35 mm equivalent or by the size of a pixel."""
     (width, height), longer = size, max(size)
     wide, high = _positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT))
     if not wide * high > 0:
@@ -210,7 +210,7 @@ def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
 
 
 def _time(base: dict, detail: dict) -> tuple[float, bool]:
-    """Seconds since 1970, and whether they are UTC: of the first of EXIF's three times that is one."""
+    """Seconds since 1970, and whether they are UTC: by the first valid one of EXIF's three times."""
     offset = detail.get(_OFFSET)
     for text, fraction, zone in (
         (detail.get(TIME_ORIGINAL), detail.get(SUBSEC_ORIGINAL), detail.get(OFFSET_ORIGINAL, offset)),
@@ -231,7 +231,7 @@ def _time(base: dict, detail: dict) -> tuple[float, bool]:
 
 
 def _zone(gps: dict, time_s: float) -> float:
-    """What a camera's clock is ahead of UTC, by the receiver's date and time."""
+    """Offset of a camera's clock from UTC, by the receiver's date and time."""
     day, clock = re.fullmatch(r"(\d{4})\D(\d\d)\D(\d\d)", _text(gps.get(29))), gps.get(7)
     if day is None or not isinstance(clock, tuple) or len(clock) != 3:
         return NAN

@@ -1,4 +1,4 @@
-"""What all figures share: words in them are words; they become PNG."""
+"""Common code of all figures: text without formulas, and output as PNG."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as PNG. Names of folders and cameras are no formulas (``$\\frac{`` would be an error), and letters that
-    the font lacks are boxes without a warning for each."""
+    """A figure as PNG. Names of folders and cameras are not parsed as formulas (``$\\frac{`` would be an error), and
+    letters that the font lacks are boxes without a warning for each."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.text import Text

@@ -1,4 +1,4 @@
-"""Fisheye images as pixels: the circle that the lens lights, one or two of them in a file, and views cut out of it."""
+"""Pixels of fisheye images: the image circle of the lens, one or two of them in a file, and views cut out of it."""
 
 from functools import lru_cache
 
@@ -11,7 +11,7 @@ from tiegraph.geometry.rays import unit_rays
 from tiegraph.scene.rig import Circle, LensView, Sensor
 from tiegraph.scene.tuning import FisheyeTuning
 
-_RAYS, _STEP_PX, _BLUR_PX = 240, 0.5, 0.8  # along rays from the middle, in steps, the end of what is lit is sought
+_RAYS, _STEP_PX, _BLUR_PX = 240, 0.5, 0.8  # rays from the middle and steps along them to find the end of the circle
 
 
 def image_circles(image: Image.Image, tuning: FisheyeTuning) -> tuple[Circle, ...]:
@@ -54,11 +54,11 @@ def _dark_corners(part: Image.Image, tuning: FisheyeTuning) -> bool:
 
 
 def lit_circle(brightness: np.ndarray, tuning: FisheyeTuning) -> Circle | None:
-    """The circle that a lens lights in an image (h, w) u1 with dark corners, pixels; None if what is lit is no circle.
+    """The image circle of a lens in an image (h, w) u1 with dark corners, pixels; None if the lit area is no circle.
 
-    Along rays from the middle the last pixel that is not dark is sought. Of the circles through three such places, a
-    quarter of the way round from each other (images cut their circles at up to four sides), the one most places lie on
-    is taken and laid on these again: a dark tree ends before its lens does, and a flare beyond.
+    Along rays from the middle the last bright pixel is found. Of the circles through three such places, a quarter
+    turn apart (images cut their circles at up to four sides), the one with the most places on it is chosen and fitted
+    to these again: a dark tree ends before its lens does, and a flare beyond.
     """
     height, width = brightness.shape
     ends = _ends(cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), _BLUR_PX), tuning)
@@ -84,7 +84,7 @@ def _close(points: np.ndarray, circle: Circle, tuning: FisheyeTuning) -> np.ndar
 
 
 def _ends(brightness: np.ndarray, tuning: FisheyeTuning) -> np.ndarray:
-    """(K, 2) the outermost place on each ray from the middle that is not dark; the middle where all of a ray is."""
+    """(K, 2) the outermost bright place on each ray from the middle; the middle if a ray is all dark."""
     height, width = brightness.shape
     angle = np.arange(_RAYS) * 2 * np.pi / _RAYS
     reach = np.arange(0.0, np.hypot(height, width) / 2, _STEP_PX)
@@ -111,7 +111,7 @@ def is_fisheye(camera: pycolmap.Camera | None) -> bool:
 
 
 def seen_half_deg(camera: pycolmap.Camera) -> float:
-    """How far off its axis a camera sees, degrees, at most 90: along the sides of its image, where it sees most."""
+    """Largest field angle off the axis of a camera, degrees, at most 90: along the sides of its image."""
     angle = np.linspace(0, _grows_until(camera), 181)[:-1]
     seen = 0.0
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -123,14 +123,14 @@ def seen_half_deg(camera: pycolmap.Camera) -> float:
 
 
 def render_lens_view(pixels: np.ndarray, view: LensView, camera: pycolmap.Camera) -> np.ndarray:
-    """Pixels (H, W[, 3]) of the pinhole ``camera`` that looks out of a fisheye image (h, w[, 3]); black beyond it."""
+    """Pixels (H, W[, 3]) of the pinhole ``camera`` for a view of a fisheye image (h, w[, 3]); black beyond it."""
     x, y = _lens_map(frozen(view.lens), view.rotation, frozen(camera))
     return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
 
 
 def lit(sensor: Sensor, half_deg: float) -> np.ndarray | None:
-    """(H, W) bool: what of a sensor's images the lens lights, and, of a fisheye image as a whole, what it sees less
-    than ``half_deg`` off its axis; None where that is all."""
+    """(H, W) bool: the lit part of a sensor's images, and, for a whole fisheye image, the part less than ``half_deg``
+    off its axis; None if that is all."""
     source, camera = sensor.source, sensor.camera
     if source is None or camera is None or (source.view is None and source.circle_px is None):
         return None
@@ -170,10 +170,10 @@ def frozen(camera: pycolmap.Camera) -> tuple:
 
 @lru_cache(maxsize=2)
 def _lens_map(lens: tuple, rotation: tuple[float, ...], pinhole: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """x, y (H, W) f4 of a view's pixels in the fisheye image as OpenCV counts; _NOWHERE where the lens does not look.
+    """x, y (H, W) f4 of a view's pixels in the fisheye image in OpenCV's convention; _NOWHERE outside the lens' view.
 
-    Of every ``_STEP``-th pixel, and between them linearly, which is 2 / focal length of a pixel off: large views would
-    take seconds each and a gigabyte to keep.
+    Of every ``_STEP``-th pixel, with linear interpolation between, whose error is 2 / focal length of a pixel: large
+    views would take seconds each and a gigabyte to keep.
     """
     model, columns, rows, params = pinhole
     view = pycolmap.Camera(model=model, width=columns, height=rows, params=params)

@@ -1,10 +1,10 @@
-"""Ground control and check points: surveyed places and the pixels where they were marked.
+"""Ground control and check points: surveyed coordinates and the pixels of their marks.
 
 Two forms are read. OpenDroneMap's ``gcp_list.txt``: first line the CRS, then ``x y z px py image [name] [more]``. And
 CSV with a header: points (name, x, y, z or lat, lon, height; sigma_xy, sigma_z, role) and marks (name, image, px, py),
 in one table with rows of either kind or of both at once, in two tables of one file, or in two files. Pixels count from
 the outer corner of the upright image's first pixel: its centre is (0.5, 0.5). A point named as a coded target
-(``targets.py``) needs no marks. A CSV may hold scale bars too, or nothing else.
+(``targets.py``) needs no marks. A CSV may contain scale bars too, or nothing else.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, na
 from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, header_words, split_cells, text_of
 from tiegraph.scene.tuning import ControlTuning
 
-MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
+MAX_SIGMA_M = 100.0  # a larger sigma of a surveyed point means another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
 _TITLE = re.compile(
@@ -33,18 +33,18 @@ _TITLE = re.compile(
 FORMS = (
     "points need the columns name, x, y, z (or name, lat, lon, height; if known sigma_xy, sigma_z, role: gcp or "
     "check), marks name, image, px, py, in one table, in two tables of one file with a header each, or in two files "
-    "(--gcp POINTS --marks MARKS); '# crs: EPSG:n' in the first line says the CRS of x, y, z; or give ODM's "
+    "(--gcp POINTS --marks MARKS); '# crs: EPSG:n' in the first line gives the CRS of x, y, z; or give ODM's "
     f"gcp_list.txt. Points named as coded targets need no marks: {FORM}. {BAR_FORM[0].upper()}{BAR_FORM[1:]}"
 )
 _EXAMPLE = (
     "name,easting,northing,height or, of a list with north before east (PNEZD), name,northing,easting,height,code, "
-    "below a line '# crs: EPSG:n' (which tells the order where only one lies in the area of the CRS)"
+    "below a line '# crs: EPSG:n' (which decides the order if only one lies in the area of the CRS)"
 )
 
 
 @dataclass(frozen=True)
 class FilePoint:
-    """A surveyed point as its file gives it: coordinates in ``crs`` (east, north, height or lat, lon, height)."""
+    """A surveyed point as in its file: coordinates in ``crs`` (east, north, height or lat, lon, height)."""
 
     name: str
     xyz: tuple[float, float, float]
@@ -73,26 +73,26 @@ class GcpFile:
     points: tuple[FilePoint, ...]
     marks: tuple[FileMark, ...]
     notes: tuple[str, ...] = ()
-    marks_path: Path | None = None  # of a file that holds the marks alone
+    marks_path: Path | None = None  # of a file with the marks alone
     bars: tuple[FileBar, ...] = ()
     largest_copy: float = 1.0  # of the images, in which marks may have been made, times these
 
     @property
     def of_marks(self) -> Path:
-        """The file the marks stand in."""
+        """The file of the marks."""
         return self.marks_path or self.path
 
     @property
     def targets(self) -> dict[str, Target]:
-        """The coded targets among the points and the ends of the bars, by the names that the file has for them."""
+        """The coded targets among the points and the ends of the bars, by their names in the file."""
         named = {p.name: target_of(p.name) for p in self.points} | {n: target_of(n) for b in self.bars for n in b.ends}
         return {name: target for name, target in named.items() if target is not None}
 
 
 def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> GcpFile:
-    """Read control points of either form; ``marks`` is the file of their marks, if that is one of its own.
+    """Read control points of either form; ``marks`` is the file of their marks, if separate.
 
-    Raises InputError, naming file and line, for an unreadable file, an unknown CRS, numbers that are none, points
+    Raises InputError, naming file and line, for an unreadable file, an unknown CRS, invalid numbers, points
     without marks, marks of a point without coordinates, and a name with two places.
     """
     found = _read(Path(path), "--gcp", tuning)
@@ -113,7 +113,7 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
 
 
 def read_points(path: Path, tuning: ControlTuning) -> GcpFile:
-    """Points of a file of either form, marked or not. Raises what ``read_gcps`` raises, but for lacking marks."""
+    """Points of a file of either form, marked or not. Raises as ``read_gcps``, except for lacking marks."""
     found = _read(Path(path), "--points", tuning)
     if not found.points:
         raise InputError(f"--points {path}: no points with {_NEED['points']}; {FORMS}")
@@ -121,7 +121,7 @@ def read_points(path: Path, tuning: ControlTuning) -> GcpFile:
 
 
 def _check_targets(found: GcpFile) -> None:
-    """Raise InputError for numbers a family has not, a target by two names, and ends of bars nothing is known of."""
+    """Raise InputError for numbers a family lacks, a target by two names, and unknown ends of bars."""
     lines = {n: b.line for b in found.bars for n in b.ends} | {p.name: p.line for p in found.points}
     names: dict[Target, str] = {}
     for name, target in found.targets.items():
@@ -145,19 +145,19 @@ _NEED = {"points": "coordinates", "marks": "a pixel in an image"}
 
 
 def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
-    """Points of the one file with the marks of the other, whichever is which."""
+    """Points of one file with the marks of the other, in either order."""
     points, marks = (one, other) if one.points or one.bars else (other, one)
     if marks.points or points.marks:
         both = "points" if marks.points else "marks"
         raise InputError(
-            f"--gcp {one.path} and --marks {other.path}: both hold {both}; leave --marks away, or keep the points in "
+            f"--gcp {one.path} and --marks {other.path}: both contain {both}; omit --marks, or keep the points in "
             "the one and the marks in the other"
         )
     return replace(points, marks=marks.marks, marks_path=marks.path, notes=(*points.notes, *marks.notes))
 
 
 def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
-    """The points and marks of a file of either form, as they stand there."""
+    """The points and marks of a file of either form, unchanged."""
     text, doubts = text_of(path, "control point file")
     lines = [(n, line) for n, line in filled_lines(text) if not _TITLE.fullmatch(line)]
     if not lines:
@@ -168,7 +168,7 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
 
 
 def _refuse_exchanged(found: GcpFile) -> None:
-    """Raise InputError for the first point whose coordinates can only be meant the other way round."""
+    """Raise InputError for the first point whose coordinates must be exchanged."""
     places = np.array([p.xyz[:2] for p in found.points], float).reshape(-1, 2)
     bad = exchanged(found.crs, places) if found.crs is not None else None
     if bad is not None:
@@ -180,7 +180,7 @@ def _refuse_exchanged(found: GcpFile) -> None:
 
 
 def _is_odm(lines: list[tuple[int, str]]) -> bool:
-    """Whether the first line that is no comment is a CRS, or nothing: neither names of columns nor a row of a list of
+    """Whether the first line that is no comment is a CRS, or invalid: neither names of columns nor a row of a list of
     points. A row x y z px py image lacks the CRS above."""
     first = next((line for _, line in lines if line[0] not in "#%"), "")
     values = [says_value(c) for c in split_cells(first, delimiter_of_rows(first))]
@@ -196,23 +196,23 @@ def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
         if known.xy != mark.xy:
             raise InputError(
                 f"{found.of_marks}, line {mark.line}: point {mark.name!r} is marked in {mark.image!r} at {mark.xy}, "
-                f"but in line {known.line} at {known.xy}: leave the right one"
+                f"but in line {known.line} at {known.xy}: keep the right one"
             )
     return tuple(first.values())
 
 
 def _doubtful(found: GcpFile) -> list[str]:
-    """What is odd about a file and yet can be used."""
+    """Oddities of a file that can be used nevertheless."""
     name, notes = found.path.name, []
     repeats = len(found.marks) - len({(m.name, m.image) for m in found.marks})
     if repeats:
-        notes.append(f"{found.of_marks.name}: {repeats} marks are given twice; once each is used")
+        notes.append(f"{found.of_marks.name}: {repeats} marks are given twice; one of each is used")
     first: dict[tuple[float, ...], FilePoint] = {}
     for point in found.points:
         known = first.setdefault(point.xyz, point)
         if known is not point:
             notes.append(
-                f"{name}, line {point.line}: point {point.name!r} is at the very place of {known.name!r} in line "
+                f"{name}, line {point.line}: point {point.name!r} has the same coordinates as {known.name!r} in line "
                 f"{known.line}: one point by two names?"
             )
     return notes
@@ -239,8 +239,8 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
             raise InputError(f"{path}, line {number}: expected x y z px py image [name], got {line!r}")
         if not is_file(words[5]) and any(map(is_file, words[6:])):
             raise InputError(
-                f"{path}, line {number}: the image {words[5]!r} has no suffix, but a word behind it has: part the "
-                "columns by tabs where names have blanks, or put such names between quotes"
+                f"{path}, line {number}: the image {words[5]!r} has no suffix, but a later word has: separate the "
+                "columns by tabs if names have blanks, or put such names between quotes"
             )
         x, y, z, px, py = (_number(w, path, number) for w in words[:5])
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
@@ -275,7 +275,7 @@ def _number(text: str, path: Path, line: int) -> float:
 
 
 def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
-    """The points and marks of one table or several, each begun by its header, or of one without."""
+    """The points and marks of one or several tables, each with its header, or of one without."""
     heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _is_header(line)] or [0]
     cuts = [0, *heads[1:], len(lines)]
     above = crs_above(lines, path)
@@ -349,7 +349,7 @@ def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
     for what, before, now in (("place", known.xyz, new.xyz), ("role", known.check, new.check)):
         if before != now:
             said = f"point {new.name!r} has another {what} than in line {known.line}"
-            raise InputError(f"{path}, line {new.line}: {said}; name it otherwise, or leave the right one")
+            raise InputError(f"{path}, line {new.line}: {said}; rename it, or keep the right one")
 
 
 def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[float, float, float], bool]:

@@ -13,7 +13,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.text import some
 
-BLOCK = 1 << 22  # links looked at together
+BLOCK = 1 << 22  # links processed together
 
 
 def parts(i: np.ndarray, j: np.ndarray, nodes: int) -> np.ndarray:
@@ -49,7 +49,7 @@ def cheapest_cut(capacity: csr_array, a: int, b: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FrameLinks:
-    """Links between frames a < b (K,): ``row`` the first pair that makes the link, ``pairs`` how many there are, and
+    """Links between frames a < b (K,): ``row`` the first pair of the link, ``pairs`` their number, and
     ``independent``: 2 if two of them have no image in common, else 1."""
 
     a: np.ndarray
@@ -60,7 +60,7 @@ class FrameLinks:
 
 
 def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> FrameLinks:
-    """The links between frames that pairs of images i, j (P,) make; pairs within a frame make none."""
+    """The links between frames from pairs of images i, j (P,); pairs within a frame make none."""
     swap = scene.frame[i] > scene.frame[j]
     i, j = np.where(swap, j, i), np.where(swap, i, j)
     key = scene.frame[i].astype(np.int64) * scene.frames + scene.frame[j]
@@ -82,8 +82,8 @@ def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> FrameLinks:
 
 @dataclass(frozen=True)
 class Cuts:
-    """Bridges (K,) bool of links, articulation points (n,) bool of nodes, ``side`` (K,) nodes that hang on a bridge
-    (the smaller side; 0 = no bridge) and ``falls`` (n,) nodes that fall off if an articulation point is lost."""
+    """Bridges (K,) bool of links, articulation points (n,) bool of nodes, ``side`` (K,) nodes that depend on a bridge
+    (the smaller side; 0 = no bridge) and ``falls`` (n,) nodes disconnected by the loss of an articulation point."""
 
     bridge: np.ndarray
     joint: np.ndarray
@@ -151,13 +151,13 @@ def _judged(tree: np.ndarray, part: np.ndarray, double: np.ndarray) -> Cuts:
     joint = np.where(root, count > 1, count > 0)
     biggest = np.zeros(len(part), int)
     np.maximum.at(biggest, parent[below], size[below])
-    rest = np.maximum(biggest, whole - 1 - lost)  # what stays together is the biggest piece
+    rest = np.maximum(biggest, whole - 1 - lost)  # the biggest piece stays connected
     return Cuts(bridge=bridge, joint=joint, side=side, falls=np.where(joint, whole - 1 - rest, 0))
 
 
 @dataclass(frozen=True)
 class Group:
-    """Images that belong together and must be tied to the others: a camera, a pass or a section."""
+    """Images that form a unit and must be tied to the others: a camera, a pass or a section."""
 
     kind: str
     name: str
@@ -197,14 +197,14 @@ def two_links(i: np.ndarray, j: np.ndarray, member: np.ndarray, strength: np.nda
         return across[[0, free[0]]]
     same_inner = np.flatnonzero((inner == inner[0]) & (outer != outer[0]))
     same_outer = np.flatnonzero((inner != inner[0]) & (outer == outer[0]))
-    if len(same_inner) and len(same_outer):  # both meet the strongest pair, at different ends: they do without it
+    if len(same_inner) and len(same_outer):  # both share an end of the strongest pair, different ones: without it
         return across[[same_inner[0], same_outer[0]]]
     return across[:1]
 
 
 def best_line(gain: np.ndarray, cost: float) -> np.ndarray:
-    """(C,) place in each row of ``gain`` (C, R) of the line with the largest sum, less ``cost`` for each place that it
-    moves from one row to the next. Dynamic programme."""
+    """(C,) place in each row of ``gain`` (C, R) of the line with the largest sum, less ``cost`` for each place it
+    moves from one row to the next. Dynamic programming."""
     slope = cost * np.arange(gain.shape[1])
     best = [gain[0]]
     for column in gain[1:]:
@@ -227,7 +227,7 @@ def components(pairs: Pairs, images: int) -> np.ndarray:
 
 
 def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
-    """What falls apart: images without a pair, by name, and the components of the rest."""
+    """Disconnected images: those without a pair, by name, and the components of the rest."""
     labels = components(pairs, len(scene))
     size = np.bincount(labels, minlength=1)
     notes = []
@@ -239,27 +239,27 @@ def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
         named = [f"{size[k]} images with {scene.names[int(np.argmax(labels == k))]}" for k in several]
         kept = pairs.kept()  # every image stands for its frame
         whole = not parts(scene.frame[kept.i], scene.frame[kept.j], scene.frames).any()
-        held = "; the frames of the rig hold them together" if whole else ""
+        held = "; the frames of the rig connect them" if whole else ""
         notes.append(f"the pairs fall into {len(several)} components: {some(named, 10)}{held}")
     return tuple(notes)
 
 
 def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """(nodes,) first node of what each node is in, after links between nodes (K,) and (K,), a block at a time, are
-    added to those of ``first`` (nodes,), which is written to. In whatever order links come the outcome is the same."""
+    """(nodes,) first node of each node's component, after links between nodes (K,) and (K,), a block at a time, are
+    added to those of ``first`` (nodes,), which is modified. The result does not depend on the order of links."""
     for a, b in links:
         while len(a):
             a, b = _roots(first, a), _roots(first, b)
             apart = a != b
             a, b = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
-            first[b] = a  # of several partners the last wins; the others come back in the next turn
+            first[b] = a  # of several partners the last wins; the others come back in the next round
     while not np.array_equal(further := first[first], first):
         first = further
     return first
 
 
 def _roots(first: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(K,) the ends of the ways up from nodes (K,), which from now on are one step long."""
+    """(K,) the roots of nodes (K,), which from now on are one step away."""
     up = first[nodes]
     while not np.array_equal(higher := first[up], up):
         up = higher
@@ -284,9 +284,9 @@ def strongest_pairs(pairs: Pairs, scene: Scene, per_image: int) -> Pairs:
     """The ``per_image`` best kept pairs of each image, those of following frames, and a maximum spanning forest by
     preview matches.
 
-    Pairs that were never previewed rank last. Those of a camera's following frames are always there, for walls may
-    repeat anywhere but hardly from one frame to the next: they hold a pass together (``canal`` without them, 9 pairs
-    an image: torn at a bridge, 13 m).
+    Pairs that were never previewed rank last. Those of a camera's following frames are always included, because walls
+    may repeat anywhere but hardly from one frame to the next: they keep a pass connected (``canal`` without them, 9
+    pairs an image: torn at a bridge, 13 m).
     """
     kept = pairs.kept()
     strength = np.nan_to_num(kept.score.astype(float), nan=0.0)
@@ -311,7 +311,7 @@ def strongest_places(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: 
     """Places of the ``count`` best of pairs i, j (P,) of each image.
 
     An image ranks its partners round robin over their passes and cameras, the strongest of each first: by strength
-    alone the next frames of the same camera would fill the list, and short bases hold a network together badly.
+    alone the next frames of the same camera would fill the list, and short bases make a weak network.
     """
     place = np.tile(np.arange(len(i)), 2)
     image, partner = np.concatenate([i, j]), np.concatenate([j, i])

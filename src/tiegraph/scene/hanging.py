@@ -1,12 +1,12 @@
-"""Rigs with wide cameras (paper 004, sections 2 and 4): these alone carry structure from motion, the others hang on the
-calibrated rig.
+"""Rigs with wide cameras (paper 004, sections 2 and 4): only these take part in structure from motion, the poses of the
+others follow from the calibrated rig.
 
-The cameras that make the clouds stand close together, see little at a time, and a projector's pattern that they see
-moves with them: ties between their shots are few or false. A wide camera without the pattern ties all shots; the place
-of the others follows from its pose and the rig.
+The cameras that make the clouds are close together, have a small field of view, and the projector's pattern that they
+see moves with them: ties between their shots are few or false. A wide camera without the pattern ties all shots; the
+pose of the others follows from its pose and the rig.
 
-``scan`` is the one place that decides: it keeps the images that hang out of ``scene.json``, so that no stage of the
-network sees them, and writes the whole survey to ``whole.json``. ``georef`` hangs them on the model again.
+Only ``scan`` decides this: it keeps the dependent images out of ``scene.json``, so that no stage of the
+network sees them, and writes the whole survey to ``whole.json``. ``georef`` adds them to the model again.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ WIDE = "wide"
 
 
 def wide_first(roles: Sequence[str]) -> list[int]:
-    """The order of the sensors of a rig: the wide ones first, for the reference must be one that gets poses."""
+    """The order of the sensors of a rig: the wide ones first, because the reference must have poses."""
     return sorted(range(len(roles)), key=lambda k: roles[k] != WIDE)
 
 
@@ -35,9 +35,9 @@ def carries(scene: Scene) -> np.ndarray:
 
 
 def carrying(scene: Scene) -> Scene:
-    """The survey without the images that hang, and without their cameras; frames without a wide image go too.
+    """The survey without the dependent images and their cameras; frames without a wide image are removed too.
 
-    Raises InputError for a survey whose hanging cameras cannot be placed: with another rig beside, or with cameras that
+    Raises InputError for a survey whose dependent cameras get no poses: with another rig beside, or with cameras that
     are not calibrated.
     """
     own = carries(scene)
@@ -46,7 +46,7 @@ def carrying(scene: Scene) -> Scene:
     if len(scene.rigs) > 1:
         raise InputError(
             f"rig {scene.rigs[0].name!r} has a camera with role = 'wide', and the survey has {len(scene.rigs)} rigs or "
-            "cameras of other kinds: run them apart, or leave the role away"
+            "cameras of other kinds: run them separately, or omit the role"
         )
     rig = scene.rigs[0]
     _check(rig)
@@ -55,37 +55,37 @@ def carrying(scene: Scene) -> Scene:
     pairs = tuple(p for p in rig.pairs if set(p.sensors) <= names)
     part = scene.only(np.flatnonzero(own))
     lost = scene.frames - part.frames
-    said = f"{sum(~own)} images of {', '.join(s.name for s in rig.sensors if s.role != WIDE)} hang on the rig: "
-    said += f"structure from motion is left to {', '.join(s.name for s in sensors)} (role wide)"
+    said = f"{sum(~own)} images of {', '.join(s.name for s in rig.sensors if s.role != WIDE)} get poses by the rig: "
+    said += f"structure from motion uses only {', '.join(s.name for s in sensors)} (role wide)"
     said += f"; {lost} frames lack a wide image and get no pose" if lost else ""
     return part.with_(rigs=(replace(rig, sensors=sensors, pairs=pairs),), notes=(*scene.notes, said))
 
 
 def _check(rig: Rig) -> None:
-    """Raise InputError for a rig on which nothing can hang."""
+    """Raise InputError for a rig that cannot give poses to dependent cameras."""
     wide = next(s.name for s in rig.sensors if s.role == WIDE)
     if rig.sensors[0].role != WIDE:
         raise ValueError("a rig's wide cameras come first")
-    remedy = "calibrate the rig (`tiegraph calibrate`), or leave role = 'wide' away"
+    remedy = "calibrate the rig (`tiegraph calibrate`), or omit role = 'wide'"
     if rig.nominal:
         raise InputError(
-            f"rig {rig.name!r}: {wide} is wide, so that the others hang on the rig, but it is nominal: {remedy}"
+            f"rig {rig.name!r}: {wide} is wide, so that the others depend on the rig, but it is nominal: {remedy}"
         )
     for sensor in rig.sensors:
         if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
             raise InputError(
-                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} hangs on the rig, but its place against "
+                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} depends on the rig, but its pose relative to "
                 f"{wide} is unknown: {remedy}"
             )
         if sensor.role != WIDE and (sensor.camera is None or not sensor.camera.has_prior_focal_length):
             raise InputError(
-                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} hangs on the rig, but its lens is not "
+                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} depends on the rig, but its lens is not "
                 f"calibrated: {remedy}"
             )
 
 
 def with_hanging(model: pycolmap.Reconstruction, whole: Scene) -> pycolmap.Reconstruction:
-    """A metric model of the images that carry, with those that hang on their frames: as the rig places them, without
+    """A metric model of the images of wide cameras, with the dependent ones of their frames: posed by the rig, without
     observations. Ids of the model's cameras, images and frames stay; those of its points are new."""
     out, cameras = pycolmap.Reconstruction(), {}
     for camera in model.cameras.values():
@@ -115,7 +115,7 @@ def _add_images(
     whole: Scene,
     cameras: dict[tuple[int, int], pycolmap.Camera],
 ) -> None:
-    """The frames of a model with all their images; ``cameras``: by rig and sensor those of the images that hang."""
+    """The frames of a model with all their images; ``cameras``: by rig and sensor those of dependent images."""
     carry, free = carries(whole), max(model.images) + 1
     for number, old in model.frames.items():
         frame = pycolmap.Frame(frame_id=number, rig_id=old.rig_id)

@@ -1,4 +1,4 @@
-"""Finding images, and a first look at each of them."""
+"""Finding images, and a first reading of each of them."""
 
 import hashlib
 import os
@@ -35,11 +35,11 @@ from tiegraph.scene.xmp import xmp_text
 SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".mpo", ".insp",
             ".jp2", ".j2k", ".avif", ".heic", ".heif", ".hif", *RAW, ".jxl", ".gif")  # fmt: skip
 UNREADABLE = (".jxl", ".gif")  # found, and refused by name, so that they are not missed silently
-# Formats of cameras alone, which keep a JPEG beside or are exported as one
+# Formats of cameras only, which keep a JPEG beside or are exported as one
 OF_CAMERAS = (".heic", ".heif", ".hif", *RAW)
 IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
-# Folders of network storage and of systems, with thumbnails and what was thrown away.
+# Folders of network storage and of systems, with thumbnails and deleted files.
 _SERVICE = ("@eadir", "#recycle", "@recycle", "@recently-snapshot", "#snapshot", "$recycle.bin", "lost+found",
             "system volume information")  # fmt: skip
 # A bound of memory: a JPEG of one colour has 85 pixels a byte with the standard's tables; a deflated one 1032 bytes of
@@ -49,37 +49,37 @@ _BOMB_PX, _BOMB_PX_PER_BYTE = 100_000_000, 300
 
 @dataclass(frozen=True)
 class Probe:
-    """What one look at an image file found. ``reason`` is not empty if the image cannot be used."""
+    """The result of reading an image file. ``reason`` is not empty if the image cannot be used."""
 
     width: int = 0  # as stored in the file
     height: int = 0
     levels: Levels = EIGHT_BIT  # of a deeper file, see ``levels_of``
     exif: Exif = Exif()
     digest: str = ""  # of the file's bytes
-    sphere: Sphere | None = None  # where it lies on one, if it is an equirectangular panorama
-    circles: tuple[Circle, ...] = ()  # what fisheye lenses light of it: one, or two side by side
-    lenses: str = ""  # what Insta360's factory says of the two lenses
-    said: str = ""  # what a person should know of the file
+    sphere: Sphere | None = None  # its part of a sphere, if it is an equirectangular panorama
+    circles: tuple[Circle, ...] = ()  # image circles of fisheye lenses: one, or two side by side
+    lenses: str = ""  # the calibration of the two lenses by Insta360's factory
+    said: str = ""  # a note on the file
     reason: str = ""
 
     def upright_size(self) -> tuple[int, int]:
-        """(width, height) after the turn that the EXIF orientation asks for."""
+        """(width, height) after the rotation of the EXIF orientation."""
         return (self.height, self.width) if self.exif.orientation >= 5 else (self.width, self.height)
 
 
 def search_images(root: Path) -> tuple[list[str], list[str]]:
-    """The image files below a folder: their names (POSIX, relative to it, sorted), and what was passed over and why.
+    """The image files below a folder: their names (POSIX, relative to it, sorted), and notes on skipped files.
 
-    Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over, as are the folders that network
-    storage keeps thumbnails and deleted files in; these are counted. If ``root`` has a folder ``images``
-    only that is searched, so that masks and depth maps beside it are not taken for photographs. Raises InputError if
+    Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are skipped, as are the folders in which network
+    storage keeps thumbnails and deleted files; these are counted. If ``root`` has a folder ``images``,
+    only that is searched, so that masks and depth maps beside it are not read as photographs. Raises InputError if
     the folder does not exist, is empty, cannot be read in any part, or has no image.
     """
     root = Path(root)
     if not root.exists():
-        raise InputError(f"{root}: there is no such folder; give the folder that holds the images")
+        raise InputError(f"{root}: there is no such folder; give the folder with the images")
     if not root.is_dir():
-        raise InputError(f"{root} is a file; give the folder that holds the images")
+        raise InputError(f"{root} is a file; give the folder with the images")
     notes: list[str] = []
     files = list(files_below(searched(root), notes))
     images = [f for f in files if f.suffix.lower() in SUFFIXES]
@@ -87,7 +87,7 @@ def search_images(root: Path) -> tuple[list[str], list[str]]:
     odd = [f for f in sorted(set(files) - set(images)) if _begins_like_an_image(f)]
     if odd:
         named = f"{odd[0].relative_to(root).as_posix()}{' ...' if len(odd) > 1 else ''}"
-        notes.append(f"{len(odd)} files begin like images but are not named so, and are passed over: {named}")
+        notes.append(f"{len(odd)} files begin like images but have other names, and are skipped: {named}")
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {'; '.join([found, *notes])}; images end in {' '.join(SUFFIXES)}")
@@ -100,15 +100,15 @@ def searched(root: Path) -> Path:
 
 
 def find_images(root: Path) -> list[str]:
-    """The names alone of ``search_images``, which see."""
+    """Only the names of ``search_images``."""
     return search_images(root)[0]
 
 
 def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
-    """The files below a folder, without what hides or is the system's own.
+    """The files below a folder, without hidden files and those of the system.
 
-    Every folder is visited once, at its own place rather than through a link if it has both; of links to folders
-    visited already, and of those that lead up, out of the survey, ``notes`` takes what is passed over. Raises
+    Every folder is visited once, at its own place rather than through a link if it has both; ``notes`` lists skipped
+    links to folders visited already, and those that lead up, out of the survey. Raises
     InputError for a folder that cannot be read.
     """
     said = notes if notes is not None else []
@@ -121,10 +121,10 @@ def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
         info = inside.stat()
         first = visited.setdefault((info.st_dev, info.st_ino), inside)
         if first is not inside:
-            said.append(f"{inside} leads to {first}, which is searched already: passed over")
+            said.append(f"{inside} leads to {first}, which is searched already: skipped")
             continue
         if inside is not folder and Path(os.path.realpath(inside)) in top.parents:
-            said.append(f"{inside} leads up to {os.path.realpath(inside)}: passed over")
+            said.append(f"{inside} leads up to {os.path.realpath(inside)}: skipped")
             continue
         for entry in _entries(inside):
             path = inside / entry.name
@@ -138,7 +138,7 @@ def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
                 todo.append(path)
     if service:
         count = sum(len(files) for folder in service for _, _, files in os.walk(folder))
-        said.append(f"{count} files in {len(service)} folders of the storage passed over, such as {service[0]}")
+        said.append(f"{count} files in {len(service)} folders of the storage skipped, such as {service[0]}")
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
@@ -149,7 +149,7 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
             )
     except OSError as error:
         raise InputError(
-            f"{folder}: cannot be read ({error.strerror}): its images would be missing; make it readable or take it out"
+            f"{folder}: cannot be read ({error.strerror}): its images would be missing; make it readable or remove it"
         ) from None
 
 
@@ -163,7 +163,7 @@ def has_images(root: Path) -> bool:
 
 def _begins_like_an_image(path: Path) -> bool:
     try:
-        if not path.is_file():  # a pipe would wait for ever
+        if not path.is_file():  # a pipe would wait forever
             return False
         with open(path, "rb") as file:
             return file.read(8).startswith(BEGINS)
@@ -172,10 +172,10 @@ def _begins_like_an_image(path: Path) -> bool:
 
 
 def probe_image(path: Path, tuning: ImageTuning) -> Probe:
-    """Read, decode and describe one image file; the pixels are let go again. Never raises: see ``Probe.reason``."""
+    """Read, decode and describe one image file; the pixels are not kept. Never raises: see ``Probe.reason``."""
     path = Path(path)
     try:
-        # A file of the system that says it is empty (/proc) may wait for ever all the same.
+        # A file of the system with a size of 0 (/proc) may wait forever nevertheless.
         data = path.read_bytes() if regular(path).stat().st_size else b""
     except OSError as error:
         return Probe(reason=f"cannot be read: {error.strerror or error}")
@@ -194,7 +194,7 @@ def probe_image(path: Path, tuning: ImageTuning) -> Probe:
 
 
 def _picture_at(data: bytes) -> int:
-    """Where the picture of a JPEG begins, behind its tags: files with one picture are one photograph. 0 of others."""
+    """Begin of the picture of a JPEG, behind its tags: files with one picture are one photograph. 0 for others."""
     at = 2 if data.startswith(b"\xff\xd8\xff") else len(data)
     while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != _SCAN:
         at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
@@ -249,13 +249,13 @@ def _said(file: Opened, sphere: Sphere | None) -> str:
     return f"the first of {count} pictures in the file is used" if several else ""
 
 
-_FACTORY = [re.compile(rb"2(?:_-?\d+(?:\.\d+)?){%d}(?![_.\d])" % count) for count in (39, 15)]  # two forms of it
+_FACTORY = [re.compile(rb"2(?:_-?\d+(?:\.\d+)?){%d}(?![_.\d])" % count) for count in (39, 15)]  # its two forms
 
 
 def _refuse_bomb(image: Image.Image, size: int) -> None:
     """A few kB that unpack to gigabytes are no photograph, but would end the process for lack of memory."""
     count = image.width * image.height
-    said = f"its header says {image.width} x {image.height} pixels"
+    said = f"its header announces {image.width} x {image.height} pixels"
     if count > LARGEST_PX:
         raise Unreadable(f"{said}: more than {LARGEST_PX // 10**6} Mpx are not read")
     if count > _BOMB_PX and count > _BOMB_PX_PER_BYTE * size:

@@ -1,7 +1,8 @@
-"""Models of blocks put into one frame by the images they share; where these disagree, the survey is torn, and said so.
+"""Models of blocks in one frame, by their shared images; if these disagree, the survey is torn, with a note.
 
-Two models of the same images differ by a similarity. Its rotation comes from the images' own rotations, for the centres
-of a straight path leave the turn about the path open; its scale and shift then from the centres. All blocks together:
+Two models of the same images differ by a similarity. Its rotation comes from the images' own rotations, because the
+centres of a straight path do not determine the rotation about the path; then its scale and shift from the centres. All
+blocks together:
 logarithms of the scales, rotations and shifts by least squares over all joins, one after another.
 """
 
@@ -17,14 +18,14 @@ from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.sorting import evenly
 from tiegraph.scene.tuning import JoiningTuning
 
-_ASKED = 40  # shared images, evenly spread, whose turns are tried for the one most agree with
+_ASKED = 40  # shared images, evenly spread, whose rotations are tried for the one with the most agreement
 _ROUNDS = 10  # of the rotations of all blocks
 
 
 @dataclass(frozen=True)
 class Poses:
-    """What joining needs of a model: ``images`` (K,) increasing numbers, ``cam_from_world`` (K, 4, 4) without NaN,
-    ``range_`` usual distance to what they see, in model units."""
+    """The data of a model for joining: ``images`` (K,) increasing numbers, ``cam_from_world`` (K, 4, 4) without NaN,
+    ``range_`` usual distance to their points, in model units."""
 
     images: np.ndarray
     cam_from_world: np.ndarray
@@ -33,8 +34,8 @@ class Poses:
 
 @dataclass(frozen=True)
 class Join:
-    """Two models a, b: ``b_from_a``, how many images they share, which of them agree with it, ``images`` (K,), how many
-    must, and ``middle`` (3,) of their centres in the frame of a. ``refused``: other joins contradict it."""
+    """Two models a, b: ``b_from_a``, the number of shared images, which of them agree with it, ``images`` (K,), how
+    many must, and ``middle`` (3,) of their centres in the frame of a. ``refused``: other joins contradict it."""
 
     a: int
     b: int
@@ -58,8 +59,8 @@ class Join:
 
 @dataclass(frozen=True)
 class JoinResult:
-    """``world_from`` each model, ``part`` (M,): number of the connected part it is in, 0 = the one with most images;
-    worlds of different parts have nothing to do with each other. ``joins``: all, those too that do not hold."""
+    """``world_from`` each model, ``part`` (M,): number of its connected component, 0 = the one with most images;
+    worlds of different components are unrelated. ``joins``: all, including refused ones."""
 
     world_from: tuple[Similarity, ...]
     part: np.ndarray
@@ -67,7 +68,7 @@ class JoinResult:
 
 
 def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> JoinResult:
-    """Put models into one frame, that of the first model of each part."""
+    """Put models into one frame, that of the first model of each component."""
     couples = ((a, b) for a in range(len(models)) for b in range(a))
     joins = tuple(j for a, b in couples if (j := join(a, b, models[a], models[b], tuning)))
     good = _consistent([j for j in joins if j.holds], len(models), tuning)
@@ -86,7 +87,7 @@ def moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarra
 
 
 def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> Join | None:
-    """How the frame of the second model follows from that of the first; None if they share too few images."""
+    """The transformation from the first model's frame to the second's; None if they share too few images."""
     shared, at_a, at_b = np.intersect1d(first.images, second.images, assume_unique=True, return_indices=True)
     if len(shared) < tuning.shared:
         return None
@@ -98,7 +99,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
     limit = tuning.shift * second.range_
     scale, shift = _start(x_turned, y, same, (first.range_, second.range_), tuning)
     agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
-    for _ in range(3):  # of scale and shift to the images that agree
+    for _ in range(3):  # refinements of scale and shift to the images that agree
         if agree.sum() < tuning.shared:
             break
         scale, shift = _fitted(x_turned[agree], y[agree], scale, limit)
@@ -116,7 +117,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
 
 
 def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the rotations (K, 3, 3) that agree with the one most agree with, and which (K,) do."""
+    """Mean of the rotations (K, 3, 3) that agree with the one with the most agreement, and which (K,) do."""
     some = turns[evenly(len(turns), _ASKED)]
     near = transforms.angle_deg(some[:, None], turns[None]) < tuning.turn_deg
     same = near[np.argmax(near.sum(axis=1))]
@@ -127,10 +128,10 @@ def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np
 def _start(
     x: np.ndarray, y: np.ndarray, same: np.ndarray, ranges: tuple[float, float], tuning: JoiningTuning
 ) -> tuple[float, np.ndarray]:
-    """Scale and shift that take most of the centres x to y (K, 3), of those ``same`` (K,): of the ones that two of them
-    far apart give. Where the images hardly moved, the scale is the ratio of the distances to what they see, ``ranges``.
+    """Scale and shift that take most of the centres x to y (K, 3), of those ``same`` (K,): from two distant ones of
+    them. If the images hardly moved, the scale is the ratio of the distances to their points, ``ranges``.
 
-    No median over all: where a model has one of two passes in a wrong place, half the distances are wrong.
+    No median over all: if a model has one of two passes in a wrong place, half the distances are wrong.
     """
     of = np.flatnonzero(same)
     asked = of[evenly(len(of), _ASKED)]
@@ -149,7 +150,7 @@ def _start(
 
 
 def _fitted(x: np.ndarray, y: np.ndarray, scale: float, limit: float) -> tuple[float, np.ndarray]:
-    """Scale and shift that take x to y (K, 3), with least squares; the scale stays where the images hardly moved."""
+    """Scale and shift that take x to y (K, 3), by least squares; the scale is kept if the images hardly moved."""
     dx, dy = x - x.mean(axis=0), y - y.mean(axis=0)
     if scale**2 * np.mean(np.sum(dx**2, axis=1)) > limit**2:
         scale = max(float(np.sum(dx * dy) / np.sum(dx**2)), 1e-12)
@@ -160,8 +161,8 @@ def _fitted(x: np.ndarray, y: np.ndarray, scale: float, limit: float) -> tuple[f
 
 
 def _consistent(joins: list[Join], models: int, tuning: JoiningTuning) -> list[Join]:
-    """The joins without those that contradict the strongest tree of them: walls that repeat can tie two blocks wrongly,
-    and all the images they share alike."""
+    """The joins without those that contradict their strongest tree: repeated walls can tie two blocks wrongly,
+    together with all the images they share."""
     if not joins:
         return joins
     i, j = (np.array([getattr(x, n) for x in joins]) for n in ("a", "b"))
@@ -203,7 +204,7 @@ def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     weight = np.array([x.agree for x in joins], float)
     tree = forest(i, j, weight, models) if len(joins) else np.zeros(0, int)
     start = _along_tree([joins[k] for k in tree], models)
-    if len(tree) == len(joins):  # no loops: nothing to share out
+    if len(tree) == len(joins):  # no loops: nothing to distribute
         return tuple(start)
     solve = _solver(i, j, np.sqrt(weight), models)
     log_scale = solve(np.log([x.b_from_a.scale for x in joins])[:, None])[:, 0]
@@ -211,7 +212,7 @@ def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     turn = np.stack([s.rotation for s in start])
     measured = np.stack([x.b_from_a.rotation for x in joins])
     for _ in range(_ROUNDS):
-        # world_from_a = world_from_b b_from_a; what is missing, as a rotation vector in the world.
+        # world_from_a = world_from_b b_from_a; the misclosure, as a rotation vector in the world.
         missing = Rotation.from_matrix(turn[j] @ measured @ np.swapaxes(turn[i], 1, 2)).as_rotvec()
         turn = Rotation.from_rotvec(solve(missing)).as_matrix() @ turn
     shift = np.stack([x.b_from_a.translation for x in joins])

@@ -1,6 +1,6 @@
-"""Pixels of marks: in the image that the user has, in the prepared one, and in copies in which people mark points.
+"""Pixels of marks: in the user's image, in the prepared one, and in copies in which marks are made.
 
-Copies are smaller or larger, or turned by EXIF where the survey's images are not.
+Copies are smaller or larger, or rotated by EXIF although the survey's images are not.
 """
 
 from collections.abc import Sequence
@@ -11,19 +11,19 @@ import pycolmap
 
 from tiegraph.scene.rig import Sensor, Source, on_plane
 
-EDGE_PX = 1.0  # a mark may lie this far off its image: programs count from the pixel's centre or corner
+EDGE_PX = 1.0  # tolerance of a mark outside its image: programs count from the pixel's centre or corner
 
 
 @dataclass(frozen=True)
 class Copy:
-    """How images were when they were marked: ``size`` times as large as the user's, and ``turned`` where EXIF turns the
-    survey's (or not turned, where the survey's are left as the sensor has them)."""
+    """The images in which marks were made: ``size`` times as large as the user's, and ``turned`` if EXIF rotates the
+    survey's (or not, if the survey's are left as the sensor has them)."""
 
     size: float = 1.0
     turned: bool = False
 
     def pixel(self, xy: tuple[float, float], sensor: Sensor, orientation: int) -> tuple[float, float]:
-        """Pixel in the image that the sensor is of, upright where that is, of a mark in the copy."""
+        """Pixel in the image of the sensor, upright if that is, of a mark in the copy."""
         x, y = xy[0] / self.size, xy[1] / self.size
         camera, source = file_camera(sensor), sensor.source or Source()
         if not self.turned or camera is None:
@@ -32,12 +32,12 @@ class Copy:
         return _turned((x, y), size, orientation if source.upright else {6: 8, 8: 6}.get(orientation, orientation))
 
     def like(self, other: "Copy") -> bool:
-        """Whether it is hardly larger or smaller, and turned the same way."""
+        """Whether it has nearly the same size and the same orientation."""
         return self.turned == other.turned and 0.9 < self.size / other.size < 1 / 0.9
 
     def __str__(self) -> str:
         return f"{self.size:.4g} times as large" + (
-            ", turned otherwise than the survey's by EXIF" if self.turned else ""
+            ", with another EXIF orientation than the survey's" if self.turned else ""
         )
 
 
@@ -45,7 +45,7 @@ AS_IS = Copy()
 
 
 def file_camera(sensor: Sensor) -> pycolmap.Camera | None:
-    """The camera of the user's image; None if nothing says how large that is."""
+    """The camera of the user's image; None if its size is unknown."""
     source = sensor.source or Source()
     return None if source.rendered else source.camera or sensor.camera
 
@@ -67,7 +67,7 @@ def within(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
 
 
 def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
-    """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted as that was."""
+    """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted like it."""
     return _moved(xy, sensor, 1)
 
 
@@ -93,7 +93,7 @@ def _moved(xy: tuple[float, float], sensor: Sensor, way: int) -> tuple[float, fl
 
 
 def _turned(xy: tuple[float, float], size: tuple[int, int], orientation: int) -> tuple[float, float]:
-    """Pixel in an image that is turned upright, as EXIF's orientation says, of one in the image before, of ``size``."""
+    """Pixel in an image made upright by EXIF's orientation, of one in the image before, of ``size``."""
     x = size[0] - xy[0] if orientation in (2, 3, 7, 8) else xy[0]
     y = size[1] - xy[1] if orientation in (3, 4, 6, 7) else xy[1]
     return (y, x) if orientation >= 5 else (x, y)

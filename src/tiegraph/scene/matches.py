@@ -1,4 +1,4 @@
-"""Ties: which preview features of two images match; sights: which points of a rough model an image sees."""
+"""Two-view matches of preview features, and observations: the points of a rough model that an image sees."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class PreviewMatches(Arrays):
     """Preview matches of T image pairs i < j, sorted and unique, read-only.
 
     ``matches`` (M, 2) u2: feature of image i, feature of image j (rows of the two images' previews), inliers of one
-    two-view geometry; the matches of pair t are rows ``start[t]`` to ``start[t + 1]``. A pair that was previewed
-    without success has none.
+    two-view geometry; the matches of pair t are rows ``start[t]`` to ``start[t + 1]``. A pair previewed without
+    success has none.
     """
 
     i: np.ndarray  # (T,) i4
@@ -78,8 +78,8 @@ class PreviewMatches(Arrays):
         return PreviewMatches(i=self.i[mask], j=self.j[mask], start=start, matches=matches)
 
     def observations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(K,) each: track, image and feature (row of the image's preview) of every feature that has a match; what
-        matches join is one track."""
+        """(K,) each: track, image and feature (row of the image's preview) of every feature that has a match; features
+        connected by matches are one track."""
         width = int(self.matches.max(initial=0)) + 1
         used = np.zeros((int(self.j.max(initial=-1)) + 1) * width, bool)
         for ends in self._ends(width):

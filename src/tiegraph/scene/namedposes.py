@@ -1,6 +1,6 @@
-"""Models of other programs: where a start model stands and whose it is, and poses by image name.
+"""Models of other programs: place and program of a start model, and poses by image name.
 
-What a path names is told by what is in the folder or file, for nothing else is asked.
+The kind of a path is recognised by the contents of the folder or file; the user states none.
 
 COLMAP's cameras are ours: x right, y down, z forward; its quaternions have w first, which pycolmap reads. The cameras
 of transforms.json are OpenGL's: x right, y up, z backward (docs.nerf.studio, data conventions). The worlds of both, and
@@ -25,11 +25,11 @@ ACCEPTED = (
     "a COLMAP model (the folder of images.bin or images.txt, or of sparse/0), OpenSfM's or ODM's reconstruction.json, "
     "nerfstudio's transforms.json, or the cameras that Metashape exports as XML"
 )
-_HEAD = 1 << 16  # letters of an XML file in which its root stands
+_HEAD = 1 << 16  # letters of an XML file that contain its root
 
 
 def find_start(path: Path) -> tuple[str, Path]:
-    """The program (COLMAP, OpenSfM, nerfstudio, Metashape) and the file or folder of the model that ``--start`` names.
+    """The program (COLMAP, OpenSfM, nerfstudio, Metashape) and the file or folder of the model of ``--start``.
 
     Raises InputError if there is none.
     """
@@ -39,16 +39,16 @@ def find_start(path: Path) -> tuple[str, Path]:
         place = find(path)
         if place is not None:
             return program, place
-    raise InputError(f"--start {path}: no model that is known; give {ACCEPTED}")
+    raise InputError(f"--start {path}: no model of a known kind; give {ACCEPTED}")
 
 
 def called(place: Path) -> str:
-    """A model's file or folder in messages: "sparse/0" says more than "0"."""
+    """Name of a model's file or folder in messages: "sparse/0" is clearer than "0"."""
     return f"{place.parent.name}/{place.name}" if place.name.isdigit() else place.name
 
 
 def _find_colmap(path: Path) -> Path | None:
-    """The model folder; of several beside each other (0, 1, ...) the largest file of images."""
+    """The model folder; of several beside each other (0, 1, ...) the one with the largest file of images."""
     if path.is_file():
         return path.parent if path.name in ("images.bin", "images.txt") else None
     if is_model(path):
@@ -63,7 +63,7 @@ def _find_colmap(path: Path) -> Path | None:
 
 
 def _find_json(path: Path, key: str, places: tuple[str, ...]) -> Path | None:
-    """A JSON file that holds a key, or one of some places in a folder."""
+    """A JSON file with a key, or one of some places in a folder."""
     if path.is_file():
         return path if path.suffix.lower() == ".json" and f'"{key}"' in _content(path) else None
     return next((path / p for p in places if (path / p).is_file()), None)
@@ -82,7 +82,7 @@ def _find_metashape(path: Path) -> Path | None:
     found = [p for p in sorted(path.glob("*.xml")) if p.is_file() and _is_metashape(p)]
     if len(found) > 1:
         names = ", ".join(p.name for p in found[:4])
-        raise InputError(f"--start {path}: {len(found)} files of cameras in it ({names}): give the one that is meant")
+        raise InputError(f"--start {path}: {len(found)} files of cameras in it ({names}): give the right one")
     return found[0] if found else None
 
 
@@ -108,7 +108,7 @@ def has_named_poses(path: Path) -> bool:
 def read_named_poses(path: Path) -> dict[str, np.ndarray]:
     """world_from_camera (4, 4) by image name, cameras x right, y down, z forward.
 
-    Raises InputError, naming what is damaged, and for files without poses or with the same pose for all images.
+    Raises InputError, naming the damaged part, and for files without poses or with the same pose for all images.
     """
     path = Path(path)
     if path.is_dir() and not is_model(path):
@@ -121,10 +121,10 @@ def read_named_poses(path: Path) -> dict[str, np.ndarray]:
 def check_poses(found: dict[str, np.ndarray], path: Path) -> None:
     """Raise InputError for no poses, and for several that are all the same."""
     if not found:
-        raise InputError(f"{path}: no image has a pose in it; give a finished model, or leave it out")
+        raise InputError(f"{path}: no image has a pose in it; give a finished model, or omit it")
     poses = np.array(list(found.values()))
     if len(poses) > 1 and np.ptp(poses, axis=0).max() < 1e-9:
-        raise InputError(f"{path}: all {len(poses)} poses are the same: a trajectory that says nothing; leave it away")
+        raise InputError(f"{path}: all {len(poses)} poses are the same: a trajectory without information; omit it")
 
 
 def poses_of_model(model: Any) -> dict[str, np.ndarray]:
@@ -134,7 +134,7 @@ def poses_of_model(model: Any) -> dict[str, np.ndarray]:
 
 
 def poses_of_transforms(data: Any, path: Path) -> dict[str, np.ndarray]:
-    """The same of what a transforms.json holds. Raises InputError, naming the frame."""
+    """The same from a transforms.json. Raises InputError, naming the frame."""
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list):
         raise InputError(f"{path}: no list 'frames'; give a transforms.json of nerfstudio or instant-ngp")
@@ -146,13 +146,13 @@ def poses_of_transforms(data: Any, path: Path) -> dict[str, np.ndarray]:
             raise InputError(f"{where}: no file_path: write the image that each pose is of")
         pose = _pose(frame.get("transform_matrix"), f"{where} ({name:.80})")
         if name in out and not np.allclose(out[name], pose, rtol=0, atol=1e-9):
-            raise InputError(f"{where}: {name:.80} has another pose above: leave the right one")
+            raise InputError(f"{where}: {name:.80} has another pose above: keep the right one")
         out[name] = pose
     return out
 
 
 def read_json(path: Path, what: str = "a transforms.json of nerfstudio or instant-ngp") -> Any:
-    """What a file of JSON holds. Raises InputError, with the line, for one that is none; ``what`` to give instead."""
+    """The contents of a JSON file. Raises InputError, with the line, for an invalid one; ``what`` to give instead."""
     try:
         return json.loads(regular(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -174,7 +174,7 @@ def _pose(given: Any, where: str) -> np.ndarray:
 
 def checked_pose(pose: np.ndarray, what: str) -> np.ndarray:
     """(4, 4) of a camera-to-world matrix (3 or 4, 4). Raises InputError, naming ``what``, if it has no rotation."""
-    if not transforms.are_rotations(pose[:3, :3], 1e-2):  # by so much may R R^T miss 1
+    if not transforms.are_rotations(pose[:3, :3], 1e-2):  # tolerance of R R^T = 1
         raise InputError(
             f"{what} has no rotation in its first three columns (scaled, or mirrored): write "
             "camera-to-world matrices with a rotation and a translation"

@@ -1,9 +1,9 @@
-"""File names of any origin made safe: for libraries that take UTF-8 only, for file systems, for people's eyes.
+"""Safe file names of any origin: for libraries that take UTF-8 only, for file systems, for display.
 
 Linux keeps names as bytes. Those that are not UTF-8 (a Shift-JIS archive unpacked) reach Python as strings with lone
 surrogates, which kill the interpreter inside OpenCV and cannot be written to any text file. So a survey's files get
-names of ours where they are listed (``clean_names``), and nothing but the opening of a file (``on_disk``) ever sees
-the others.
+names of ours where they are listed (``clean_names``), and only the opening of a file (``on_disk``) uses the original
+ones.
 """
 
 import hashlib
@@ -33,13 +33,13 @@ def clean(name: str) -> str:
 
 
 def plain_name(text: str) -> str:
-    """An image's name as ours are written: slashes, no ./ before it, in composed form."""
+    """An image's name in our form: slashes, no ./ before it, in composed form."""
     return composed(text.replace("\\", "/").removeprefix("./"))
 
 
 def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
-    """What a name in a file of the user's is of, for ``found_by``: names of images; the ends of their paths, with and
-    without suffix, where these are of one; and all of them in any case, as Windows takes names, where that is of one.
+    """Table of names in a user's file, for ``found_by``: names of images; the ends of their paths, with and
+    without suffix, if these are unique; and all of them in any case, as Windows takes names, if that is unique.
     """
     full = dict(named)
     written = [(text.split("/"), k) for n, k in full.items() for text in (n, str(PurePosixPath(n).with_suffix("")))]
@@ -49,7 +49,7 @@ def lookup_of(named: Iterable[tuple[str, int]]) -> dict[str, int]:
 
 
 def _of_one(named: Iterable[tuple[str, int]]) -> dict[str, int]:
-    """What is of one only, by name."""
+    """The unique entries, by name."""
     found: dict[str, int | None] = {}
     for name, what in named:
         if found.setdefault(name, what) != what:
@@ -58,13 +58,13 @@ def _of_one(named: Iterable[tuple[str, int]]) -> dict[str, int]:
 
 
 def found_by(lookup: Mapping[str, int], name: str) -> int | None:
-    """What a name is of, by a table that ``lookup_of`` made; None if it is of nothing here."""
+    """The image of a name, by a table of ``lookup_of``; None if it names nothing here."""
     plain = plain_name(name)
     return lookup.get(plain, lookup.get(f"{_ANY_CASE}{plain.lower()}"))
 
 
 def all_found(given: Sequence[str], named: Iterable[tuple[str, int]]) -> tuple[int | None, ...]:
-    """What each given name is of, as ``found_by`` says. First folders that all have and none needs are left away."""
+    """The image of each given name, as in ``found_by``. Leading folders that all have and none needs are removed."""
     lookup = lookup_of(named)
     parts = [[p for p in plain_name(name).split("/") if p not in ("", "..")] for name in given]
     levels = range(len(os.path.commonprefix([p[:-1] for p in parts])) + 1)
@@ -73,7 +73,7 @@ def all_found(given: Sequence[str], named: Iterable[tuple[str, int]]) -> tuple[i
 
 
 def on_disk(folder: Path, name: str) -> Path | None:
-    """The file below a folder that a name of ours (POSIX) is of, however the file system writes it; None without."""
+    """The file below a folder for a name of ours (POSIX), in whatever form the file system has it; None without."""
     parts = [(p, unclean(p), unicodedata.normalize("NFD", p)) for p in PurePosixPath(name).parts]
     ways = itertools.product(*(dict.fromkeys(spellings) for spellings in parts))
     return next((path for way in ways if os.path.isfile(path := folder.joinpath(*way))), None)  # False if too long, too
@@ -101,7 +101,7 @@ def clean_names(names: Sequence[str]) -> list[str]:
 
 
 def unclean(name: str) -> str:
-    """The file name that ``clean`` made ``name`` of, where it is one: ``%XX`` of bytes that are no text."""
+    """The file name from which ``clean`` made ``name``, if it is one: ``%XX`` of bytes that are no text."""
     parts = re.split(f"({_ESCAPE.pattern})", name)
     raw = os.fsdecode(b"".join(bytes.fromhex(p[1:]) if _ESCAPE.fullmatch(p) else os.fsencode(p) for p in parts))
     return raw if clean(raw) == name else name
@@ -137,7 +137,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def check_text(value: object, what: str) -> None:
-    """Raise InputError for a path or text of the user's that holds control characters or is not UTF-8.
+    """Raise InputError for a path or text of the user with control characters or bytes that are not UTF-8.
 
     Such a path cannot be written to ``tiegraph.toml``, the report or a log, nor handed to COLMAP.
     """

@@ -1,4 +1,4 @@
-"""What a notebook shows of pairs, depth maps and clouds: small tables and pictures as HTML."""
+"""Display of pairs, depth maps and clouds in notebooks: small tables and pictures as HTML."""
 
 from __future__ import annotations
 

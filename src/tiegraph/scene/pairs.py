@@ -1,5 +1,5 @@
-"""The pair table: which images tie to which, where each pair came from, and why it was dropped; and
-COLMAP's list of image pairs, as a user hands it over.
+"""The pair table: tied images, the origin of each pair, and why it was dropped; and COLMAP's list of image pairs as
+a user input.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Pairs(Columns, Arrays):
 
     ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
     (between previewed frames of a pass estimated from them; NaN = unknown), ``overlap`` the predicted share of the
-    surface one image sees that the other sees too (larger of the two directions), ``inliers`` the verified matches at
+    surface in one image that the other also sees (larger of the two directions), ``inliers`` the verified matches at
     full resolution (-1 = not matched). Lengths in metres when the poses are metric.
     """
 
@@ -157,7 +157,7 @@ class Pairs(Columns, Arrays):
         return (self.source & source_bit(source)) > 0
 
     def matrix(self, images: int) -> np.ndarray:
-        """(N, N) u1 correspondence matrix (paper 003): 0 never looked at, 1 kept, 1 + reason if dropped."""
+        """(N, N) u1 correspondence matrix (paper 003): 0 never tested, 1 kept, 1 + reason if dropped."""
         out = np.zeros((images, images), np.uint8)
         out[self.i, self.j] = out[self.j, self.i] = 1 + self.dropped
         return out
@@ -168,7 +168,7 @@ class Pairs(Columns, Arrays):
         return np.bincount(np.concatenate([self.i[kept], self.j[kept]]), minlength=images).astype(np.int32)
 
     def funnel(self) -> dict[str, int]:
-        """Candidates, how many each filter dropped (in filter order), and what is left (paper 002, table 1)."""
+        """Candidates, how many each filter dropped (in filter order), and the remaining ones (paper 002, table 1)."""
         out = {"candidates": len(self)}
         out.update({r: int(np.sum(self.dropped == k)) for k, r in enumerate(REASONS) if k})
         out = {n: c for n, c in out.items() if c or n == "candidates"}
@@ -249,16 +249,16 @@ def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:
 
 
 def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """(line number, two image names, parted by blanks, or by tabs, commas or semicolons where names have blanks) of a
+    """(line number, two image names, separated by blanks, or by tabs, commas or semicolons if names have blanks) of a
     pair list, without comments.
 
-    Raises InputError naming file and line for what is no text, holds no pairs, or has other than two names in a line.
+    Raises InputError naming file and line for a file without text or pairs, or a line with other than two names.
     """
     text, _ = text_of(path, "pair list")
     lines = [(k, line.split("#", 1)[0].strip()) for k, line in filled_lines(text)]
     out = [(k, split_cells(line, delimiter_of_rows(line))) for k, line in lines if line]
     if not out:
-        raise InputError(f"{path}: holds no pairs; expected two image names a line")
+        raise InputError(f"{path}: contains no pairs; expected two image names a line")
     for k, words in out:
         if len(words) != 2:
             found = f"{len(words)} words: {' '.join(words)!r:.99}"

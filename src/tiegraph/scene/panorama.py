@@ -1,4 +1,4 @@
-"""Equirectangular panoramas: how one is told, where its picture lies on the sphere, and their pinhole views.
+"""Equirectangular panoramas: their recognition, their part of the sphere, and their pinhole views.
 
 The tags are those of Google's photo sphere XMP metadata (namespace GPano).
 """
@@ -19,8 +19,8 @@ from tiegraph.scene.xmp import xmp_text, xmp_value
 _EQUIRECTANGULAR = "equirectangular"
 _TAGS = ("FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels",
          "CroppedAreaLeftPixels", "CroppedAreaTopPixels")  # fmt: skip
-_ROUNDED_PX = 2  # by which sizes in tags may contradict each other
-# Black is what software fills in where it has no picture, with JPEG's noise, in all pixels of a row but this share.
+_ROUNDED_PX = 2  # tolerance between sizes in tags
+# Software fills missing parts with black, with JPEG's noise, in all pixels of a row but this share.
 _BLACK_GREY, _LIT = 24, 0.01
 _LOOK_PX, _BESIDE = 512, 9  # width at which poles and seam are looked at, columns beside the seam that tell its steps
 
@@ -31,9 +31,9 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Sphere:
-    """Where a file's picture lies on a sphere that is ``width`` pixels around and half as high: the first column and
-    row of the file there, and the part of the file that is a picture. ``sure``: the file
-    says so; else it is only twice as wide as high."""
+    """The part of a sphere in a file: the sphere is ``width`` pixels around and half as high; the first column and
+    row of the file there, and the part of the file that is a picture. ``sure``: by the file's
+    tags; else it is only twice as wide as high."""
 
     width: int
     left: int
@@ -42,20 +42,20 @@ class Sphere:
     lit: Box = (0, 0, 0, 0)
 
     def holds(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether places on the whole sphere, from the centre of its first pixel, are of the picture."""
+        """Whether places on the whole sphere, from the centre of its first pixel, are in the picture."""
         left, top, right, bottom = self.lit
         column, row = (np.floor(x + 0.5) - self.left) % self.width, np.floor(y + 0.5) - self.top
         return (column >= left) & (column < right) & (row >= top) & (row < bottom)
 
     @property
     def part(self) -> bool:
-        """Whether some of the sphere is not in the picture."""
+        """Whether part of the sphere is not in the picture."""
         left, top, right, bottom = self.lit
         return right - left < self.width or bottom - top < self.width // 2
 
     def unfolded(self, pixels: np.ndarray) -> np.ndarray:
-        """The whole sphere (width / 2, width[, 3 | 4]) u1 of a file's pixels; RGBA, what is nearest to it in what is
-        not of the picture and alpha 0 there, where it is a part."""
+        """The whole sphere (width / 2, width[, 3 | 4]) u1 of a file's pixels; of a partial one RGBA, the missing part
+        with the nearest pixels and alpha 0."""
         if not self.part:
             return pixels
         if pixels.ndim == 2:
@@ -70,7 +70,7 @@ class Sphere:
 
 
 def sphere_of(image: Image.Image | None, size: tuple[int, int], pixels: Callable[[], np.ndarray]) -> Sphere | None:
-    """Where a file, its header, its width and height and its pixels (H, W[, C]) u1, lies on the sphere: by its tags,
+    """The part of the sphere of a file, its header, its width and height and its pixels (H, W[, C]) u1: by its tags,
     else all around if it is twice as wide as high; None if neither. Black from a pole or the seam on is no picture."""
     width, height = size
     text = "" if image is None else xmp_text(image)
@@ -81,12 +81,12 @@ def sphere_of(image: Image.Image | None, size: tuple[int, int], pixels: Callable
 
 
 def has_crop(xmp: str) -> bool:
-    """Whether tags say which part of a sphere a file is."""
+    """Whether tags give the part of a sphere."""
     return _TAGS[0] in xmp
 
 
 def _by_tags(text: str, width: int, height: int) -> Sphere | None:
-    """None without tags, and where they contradict each other or the size of the file."""
+    """None without tags, or if they contradict each other or the size of the file."""
     if xmp_value(text, "ProjectionType", "GPano") != _EQUIRECTANGULAR:
         return None
     full_width, full_height, wide, high, left, top = (number(xmp_value(text, tag, "GPano")) for tag in _TAGS)
@@ -110,7 +110,7 @@ def _lit(pixels: np.ndarray) -> Box:
 def is_equirectangular(image: Image.Image, tuning: PanoramaTuning) -> bool:
     """Whether a decoded image of 8 bits is a full panorama, by its poles and its seam.
 
-    The first and the last row of an equirectangular panorama are one point each, and its left border goes on at the
+    The first and the last row of an equirectangular panorama are one point each, and its left border continues at the
     right one.
     """
     if image.width != 2 * image.height or image.width < tuning.min_width_px:
@@ -126,8 +126,8 @@ def is_equirectangular(image: Image.Image, tuning: PanoramaTuning) -> bool:
 
 
 def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> np.ndarray:
-    """Pixels (H, W[, 3 | 4]) of a pinhole view of a panorama (h, 2 h[, 3 | 4]), turned by a rotation (3, 3). Alpha is 0
-    wherever what is transparent counts.
+    """Pixels (H, W[, 3 | 4]) of a pinhole view of a panorama (h, 2 h[, 3 | 4]), rotated by (3, 3). Alpha is 0
+    wherever a transparent pixel contributes.
 
     The middle of the panorama is straight ahead (z), its upper border the zenith (-y).
     """
@@ -139,7 +139,7 @@ def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panoram
 
 
 def seen(sphere: Sphere, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> float:
-    """Share of a view in which it sees something of a picture, by 65 x 65 of its pixels."""
+    """Share of a view within a picture, by 65 x 65 of its pixels."""
     small = pycolmap.Camera(camera.todict())
     small.rescale(_LOOK, _LOOK)
     return float(sphere.holds(*_map(_key(small, view_from_panorama), sphere.width, sphere.width // 2)).mean())

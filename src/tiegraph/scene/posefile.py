@@ -1,10 +1,10 @@
 """Files of poses: TUM (``t x y z qx qy qz qw``), KITTI (12 numbers, 3x4 row by row), and tables whose header names the
 columns, such as EuRoC's (time in nanoseconds, w first).
 
-Which component of a quaternion comes first cannot be seen in it. A header tells. Without one, eight columns between
-blanks are TUM's, and rows with nanoseconds between commas EuRoC's, as long as the path does not speak against it; other
-columns between commas are of the order that the path tells, or refused. The path tells it by how the turns fit it: a
-vehicle or a hand moves in much the same direction of its own body all along.
+The order of a quaternion's components cannot be seen in it. A header gives it. Without one, eight columns between
+blanks are TUM's, and rows with nanoseconds between commas EuRoC's, unless the path contradicts that; other
+columns between commas have the order that the path shows, or are refused. The path shows it by how the rotations fit
+it: a vehicle or a hand moves in nearly the same direction of its own body all along.
 """
 
 import re
@@ -27,26 +27,26 @@ _FIELDS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _W_FIRST = (0, 1, 2, 3, 5, 6, 7, 4)  # columns of _FIELDS in a table with w first
 _TIME = r"t|ts|t_n?s|.*(time|stamp).*|secs?|seconds?"
 _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
-# What a file of poses can mean, and how its form is told; where that is not sure it is refused.
+# Limits of a file of poses, and rules for recognising its form; undecided ones are refused.
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
-_PLAY = 1e-2  # by so much may the length of a quaternion, or R R^T, miss 1
+_PLAY = 1e-2  # tolerance of the length of a quaternion, or of R R^T = 1
 _MOVED = 1e-9  # poses that differ less are the same
-_STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
+_STEPS, _MOVE = 8, 0.1  # moves needed to see the direction of motion in the body, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses in time order: time_s (T,), NaN where the file has none; poses (T, 4, 4); what to say of the file."""
+    """Poses in time order: time_s (T,), NaN where the file has none; poses (T, 4, 4); notes on the file."""
 
     time_s: np.ndarray
     poses: np.ndarray
     notes: tuple[str, ...] = ()
     names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
     metric: bool = True  # lengths are metres
-    period_s: float = 0.0  # times count within a day or a GPS week that nothing names; 0 = from an epoch
+    period_s: float = 0.0  # times count within a day or an unnamed GPS week; 0 = from an epoch
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -54,7 +54,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class _Rows:
-    """(T, C) numbers and the lines they stand in; with a header columns of _FIELDS, which of the table they are and the
+    """(T, C) numbers and their lines; with a header columns of _FIELDS, which of the table they are and the
     times."""
 
     path: Path
@@ -72,9 +72,9 @@ class _Rows:
 def read_poses(path: Path) -> Trajectory:
     """Read a file of poses.
 
-    Rows are sorted by time; of rows of one time the first stays, and both is said. Raises InputError with the line for
-    what is no text, a wrong number of columns, a number, quaternion or rotation that is none, positions out of any
-    survey, times or poses that are all the same, and quaternions whose order is not sure.
+    Rows are sorted by time; of rows of one time the first stays, both with a note. Raises InputError with the line for
+    a file without text, a wrong number of columns, an invalid number, quaternion or rotation, positions out of any
+    survey, times or poses that are all the same, and quaternions of undecided order.
     """
     rows = _rows(Path(path))
     if rows.header is None and rows.numbers.shape[1] == _KITTI:
@@ -89,7 +89,7 @@ def read_poses(path: Path) -> Trajectory:
 
 
 def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> Trajectory:
-    """Poses of a file without text as ``read_poses`` gives them, by their columns (T, ...); lines are their numbers."""
+    """Poses of a binary file as from ``read_poses``, by their columns (T, ...); lines are their numbers."""
     table = np.column_stack([time_s, xyz, quaternion_xyzw])
     rows = _Rows(path, table, lines=list(range(1, len(table) + 1)), times=Times(time_s, {}))
     if not len(table):
@@ -101,7 +101,7 @@ def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xy
 
 
 def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str, ...] = ()) -> Trajectory:
-    """Poses of (T, 8) columns of _FIELDS in time order. Raises InputError for what no trajectory can be."""
+    """Poses of (T, 8) columns of _FIELDS in time order. Raises InputError for impossible trajectories."""
     bad = np.flatnonzero(~np.isfinite(time_s))
     if len(bad):
         raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
@@ -161,7 +161,7 @@ def _rows(path: Path) -> _Rows:
 def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:
     """Columns of _FIELDS behind the time among those that a header names; None if it lacks some.
 
-    The quaternion is what has components x, y, z and w under one prefix (q, rot, orientation_, r ...), the position the
+    The quaternion has components x, y, z and w under one prefix (q, rot, orientation_, r ...), the position is the
     first other one with x, y and z.
     """
     groups: dict[str, dict[str, int]] = {}
@@ -180,7 +180,7 @@ def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:
 
 
 def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """Columns of _FIELDS, and what to say of them."""
+    """Columns of _FIELDS, and notes."""
     name, as_named = rows.path.name, tuple(range(_TUM))
     if rows.header is not None:  # its components are in our order already
         w_first, why = _w_first(rows.numbers[:, 1:4], rows.numbers[:, 4:])
@@ -197,15 +197,15 @@ def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
         order = "first" if w_first else "last"
         return _W_FIRST if w_first else as_named, (f"{name}: quaternions with w {order}: {why}",)
     if w_first is (not euroc) or (rows.commas and not euroc):
-        form = "EuRoC's table has w first, but " if euroc else "" if why else "nothing in the path tells it; "
-        why = why or "values between commas may be TUM's (w last) or EuRoC's (w first)"
-        raise rows.fail(0, f"the order of the quaternions is not sure: {form}{why}; say it in a first line {_HEADERS}")
+        form = "EuRoC's table has w first, but " if euroc else "" if why else "the path does not show it; "
+        why = why or "values between commas can be TUM's (w last) or EuRoC's (w first)"
+        raise rows.fail(0, f"the order of the quaternions is not sure: {form}{why}; give it in a first line {_HEADERS}")
     if euroc:
         return _W_FIRST, (f"{name}: no header; read as EuRoC's table, quaternions with w first",)
     return as_named, ()
 
 
-# --- what no trajectory can be --------------------------------------------------------------------------------------
+# --- limits of a trajectory -----------------------------------------------------------------------------------------
 
 
 def _kitti(rows: _Rows) -> np.ndarray:
@@ -230,11 +230,11 @@ def _check_places(rows: _Rows, xyz: np.ndarray) -> None:
 
 def _check_moves(rows: _Rows, poses: np.ndarray) -> None:
     if len(poses) > 1 and np.abs(poses - poses[0]).max() < _MOVED:
-        raise rows.fail(0, f"all {len(poses)} poses are the same: a trajectory that says nothing; leave it away")
+        raise rows.fail(0, f"all {len(poses)} poses are the same: a trajectory without information; omit it")
 
 
 def _w_first(position: np.ndarray, quaternion: np.ndarray) -> tuple[bool | None, str]:
-    """What positions (T, 3) say of quaternions (T, 4): whether w stands first, None = nothing, and why."""
+    """The order of quaternions (T, 4) by positions (T, 3): whether w is first, None = undecided, and why."""
     words = ("first", "last")
     for is_first, unit in ((True, [1, 0, 0, 0]), (False, [0, 0, 0, 1])):
         if not position[0].any() and np.allclose(quaternion[0], unit, atol=1e-6):
@@ -243,7 +243,7 @@ def _w_first(position: np.ndarray, quaternion: np.ndarray) -> tuple[bool | None,
             return is_first, f"{zero}, no turn with w {one} but half a turn with w {other}"
     no_places = not np.abs(position).max(initial=0.0) < 1e12  # products of larger numbers overflow
     if no_places or not ((np.abs(quaternion) <= 2).all() and (np.abs(quaternion).max(axis=1) > 0.1).all()):
-        return None, ""  # who reads them says so
+        return None, ""  # the reader reports them
     last, first = _unsteady(position, quaternion), _unsteady(position, np.roll(quaternion, -1, axis=1))
     for is_first, this, other in ((True, first, last), (False, last, first)):
         if other > _UNSTEADY and this < _BETTER * other:
@@ -267,13 +267,13 @@ def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
 # --- writing --------------------------------------------------------------------------------------------------------
 
 
-FREE_UNIT = "# unit: free (a single camera tells no scale)"
-"""A line of a TUM file whose lengths are no metres."""
+FREE_UNIT = "# unit: free (a single camera gives no scale)"
+"""A line of a TUM file whose lengths are not in metres."""
 
 
 def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray, said: Sequence[str] = ()) -> None:
-    """Write poses (T, 4, 4) as TUM; unknown poses are left out, unknown times become the row's number. What is ``said``
-    stands in lines of its own before them."""
+    """Write poses (T, 4, 4) as TUM; unknown poses are left out, unknown times become the row's number. The texts
+    ``said`` precede them, a line each."""
     lines = [*said, "# time_s x y z qx qy qz qw"]
     for k, (t, pose) in enumerate(zip(time_s, world_from_rig)):
         if np.isfinite(pose[:3]).all():

@@ -1,6 +1,6 @@
-"""Styles of vector layers that QGIS takes from a GeoPackage by itself.
+"""Styles of vector layers that QGIS reads from a GeoPackage automatically.
 
-The table ``layer_styles`` is QGIS's own: a layer with a row there, marked as default, is drawn that way when it is
+The table ``layer_styles`` is QGIS's own: a layer with a row there, marked as default, is drawn in that style when
 opened.
 """
 

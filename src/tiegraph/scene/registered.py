@@ -1,10 +1,10 @@
-"""Which images of a model are registered: they see points of it, and agree with them. Everything that counts asks here.
+"""Which images of a model are registered: those that see and fit points of it. All counts use this module.
 
 A pose alone proves nothing: COLMAP registers a frame with all the cameras of its rig, also with those that see no point
-at all (27 images of a drone rig over forest). Such images stand where their rig puts them and are counted apart.
+at all (27 images of a drone rig over forest). Such images have the pose given by their rig and are counted separately.
 
-An image is *registered* if it sees at least 10 points within 4 px of where they should be. An image that has a pose
-and not these is *placed by the rig*, and is counted apart everywhere.
+An image is *registered* if it sees at least 10 points with residuals below 4 px. An image that has a pose
+but not these is *placed by the rig*, and is counted separately everywhere.
 """
 
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ import numpy as np
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 
-BY_RIG = "placed by the rig"  # what the others are called in tables
-_ASKED = 100  # points of an image that are looked at; of more, some that are spread evenly
-LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
+BY_RIG = "placed by the rig"  # the name of the others in tables
+_ASKED = 100  # points of an image that are tested; of more, some that are spread evenly
+LEFT_OUT = "left out: "  # begin of the reason for an image that had a wrong position
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Of each image of a scene (N,): whether it has a pose in the model, how many points it sees that agree, and
-    how many these must be."""
+    """For each image of a scene (N,): whether it has a pose in the model, how many points it sees with small
+    residuals, and the least number of these."""
 
     placed: np.ndarray  # (N,) bool
     points: np.ndarray  # (N,) i8
@@ -31,7 +31,7 @@ class Registration:
 
     @property
     def registered(self) -> np.ndarray:
-        """(N,) bool: it has a pose that points bear out."""
+        """(N,) bool: it has a pose confirmed by points."""
         return self.placed & (self.points >= self.min_points)
 
     @property
@@ -48,7 +48,7 @@ def registration(model: Any, scene: Scene, tuning: RegisteredTuning) -> Registra
 
 
 def agreeing_points(model: Any, tuning: RegisteredTuning) -> dict[str, int]:
-    """By name of each image with a pose in a ``pycolmap.Reconstruction``: points it sees where they should be."""
+    """By name of each image with a pose in a ``pycolmap.Reconstruction``: its points with small residuals."""
     return {i.name: _agreeing(model, i, tuning) for i in model.images.values() if i.has_pose}
 
 
@@ -62,4 +62,4 @@ def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
     ahead = local[:, 2] > 0
     place = np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead]), float)
     off = np.linalg.norm(place - np.array([p.xy for p in asked])[ahead], axis=1)
-    return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN agrees with nothing
+    return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN counts as disagreement

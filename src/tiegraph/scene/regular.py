@@ -1,7 +1,7 @@
-"""What may be opened: files. A named pipe waits for ever for its writer, and ``/dev/zero`` never ends.
+"""Only regular files may be opened: a named pipe waits forever for its writer, and ``/dev/zero`` never ends.
 
-And what was read of a file, kept in memory for as long as the file stays the same: a cache by path alone gives old data
-where a process outlives a run, in the workers of Dask, in a notebook.
+Also a cache of file contents that is valid as long as the file stays the same: a cache by path alone gives old data
+if a process outlives a run, in the workers of Dask, in a notebook.
 """
 
 import errno
@@ -23,12 +23,12 @@ MOST_BYTES = 1 << 32  # of a file that is read whole: image formats end there (T
 
 
 def real_path(path: Path | str) -> Path:
-    """The absolute path without links. Of links that lead in a ring, what there is: opening it says what is wrong."""
+    """The absolute path without links. For links in a ring, the path so far: opening it raises the error."""
     return Path(os.path.realpath(path))
 
 
 def names_file(text: str) -> bool:
-    """Whether an option that takes words or a file names a file; words may be longer than a name."""
+    """Whether an option for words or a file names a file; words may be longer than a name."""
     try:
         return Path(text).is_file()
     except (OSError, ValueError):
@@ -38,8 +38,8 @@ def names_file(text: str) -> bool:
 def regular(path: Path, most_bytes: int | None = MOST_BYTES) -> Path:
     """The path, if it is a file or leads to one: every file of the user passes here before it is opened.
 
-    Raises OSError whose ``strerror`` says what it is instead, or that it is larger than ``most_bytes`` (None: any
-    size), as well as what the system says of a path that leads nowhere.
+    Raises OSError whose ``strerror`` names its kind, or that it is larger than ``most_bytes`` (None: any
+    size), as well as the system's error for a path that leads nowhere.
     """
     path = Path(path)
     info = path.stat()
@@ -78,5 +78,5 @@ def _stamp_of(path: Any) -> tuple[int, ...] | None:
     try:
         info = os.stat(path)
     except OSError:
-        return None  # the function says what is wrong
+        return None  # the function reports the error
     return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns

@@ -1,4 +1,4 @@
-"""A model as other images of the same views have it: undistorted ones, other names."""
+"""A model converted to other images of the same views: undistorted ones, other names."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -8,7 +8,7 @@ import pycolmap
 
 
 def moved_pixels(at: np.ndarray, camera: pycolmap.Camera, other: pycolmap.Camera) -> np.ndarray:
-    """Pixels (N, 2) of one camera as another one in its place sees them; NaN = not at all."""
+    """Pixels (N, 2) of one camera converted to another at the same pose; NaN = outside its view."""
     if not len(at):
         return np.zeros((0, 2))
     return np.asarray(other.img_from_cam(np.asarray(camera.cam_ray_from_img(at)))).reshape(-1, 2)
@@ -17,9 +17,9 @@ def moved_pixels(at: np.ndarray, camera: pycolmap.Camera, other: pycolmap.Camera
 def with_cameras(
     model: pycolmap.Reconstruction, cameras: Mapping[int, pycolmap.Camera], names: Mapping[str, str]
 ) -> pycolmap.Reconstruction:
-    """A copy with other ``cameras`` by their ids and other ``names`` of images; those without one stay as they are.
+    """A copy with other ``cameras`` by their ids and other ``names`` of images; those without one stay unchanged.
 
-    Key points move along; observations that then lie beside the image are left out, and points that lose all but one.
+    Key points move along; observations that then lie outside the image are left out, and points with less than two.
     """
     result = pycolmap.Reconstruction(model)
     for key, camera in cameras.items():
@@ -42,7 +42,7 @@ def with_cameras(
 
 
 def same_lens(camera: pycolmap.Camera, model: str, params: list[float]) -> pycolmap.Camera:
-    """The camera, its pixels unchanged, in the words of another camera model."""
+    """The camera in another camera model, its pixels unchanged."""
     own = deepcopy(camera)
     own.model = pycolmap.CameraModelId.__members__[model]
     own.params = params

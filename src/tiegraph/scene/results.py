@@ -1,4 +1,4 @@
-"""What the later stages make: depth maps, clouds, metrics, and their files.
+"""Results of the later stages: depth maps, clouds, metrics, and their files.
 
 Depth maps are compressed .npz: depth (f4), sigma as a share of the depth (f2), views (u1), normal (i1).
 """

@@ -1,5 +1,5 @@
-"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one shot many times. And what a pixel
-of a camera looks at: the only place where COLMAP's cameras are asked for it.
+"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one with many shots. And the rays of
+a camera's pixels: the only place that calls COLMAP's cameras for them.
 """
 
 from dataclasses import dataclass, replace
@@ -41,12 +41,12 @@ def camera_from_dict(data: dict | None) -> pycolmap.Camera | None:
 Camera = Annotated[pycolmap.Camera, PlainValidator(camera_from_dict), PlainSerializer(camera_to_dict)]
 Matrix = Annotated[np.ndarray, PlainValidator(np.array), PlainSerializer(np.ndarray.tolist)]
 Circle = tuple[float, float, float]
-"""What a fisheye lens lights of an image: centre x, y and radius, pixels."""
+"""Image circle of a fisheye lens: centre x, y and radius, pixels."""
 
 
 @dataclass(frozen=True)
 class LensView:
-    """Of a view that is cut out of a fisheye image: the sensor that took it and its camera, cropped, and the rotation
+    """For a view cut out of a fisheye image: the sensor that took it and its camera, cropped, and the rotation
     view_from_lens, row by row."""
 
     name: str
@@ -56,16 +56,16 @@ class LensView:
 
 @dataclass(frozen=True)
 class Source:
-    """How the files of a sensor become its prepared images, where they are not simply linked."""
+    """How the files of a sensor become its prepared images, if they are not simply linked."""
 
     camera: Camera | None = None  # camera of the file before cropping and undistortion; None = not known
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
-    upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
-    levels: tuple[float, float] = (0, 255)  # of a deeper file: what becomes 0 and 255, in all images alike
+    upright: bool = True  # rotate by the EXIF orientation; False: keep the sensor's own rows and columns
+    levels: tuple[float, float] = (0, 255)  # of a deeper file: values for 0 and 255, in all images alike
     panorama: tuple[float, ...] = ()  # of a view of an equirectangular panorama: view_from_panorama (3, 3), row by row
     view: LensView | None = None  # the file, cropped, is a fisheye image; the image is a view of it
-    circle_px: Circle | None = None  # what the lens lights of the cropped file; None = all of it
-    part: int | None = None  # which of the two images side by side in the file this is of; None = the file is one
+    circle_px: Circle | None = None  # image circle in the cropped file; None = the whole file
+    part: int | None = None  # which of the two images side by side in the file this is; None = the file is one
 
     @property
     def rendered(self) -> bool:
@@ -83,9 +83,9 @@ class Sensor:
     role: str = "side"  # "up": looks at the sky or the bridge above; "wide": carries structure from motion alone
     folder: str = ""  # its folder below each pass
     source: Source | None = None  # None: the files are the images
-    sigma_deg: float | None = None  # of each axis of the given rotation; None = not said
-    sigma_m: float | None = None  # of each coordinate of the given place
-    camera_sigma_px: float | None = None  # of the given focal length, to be adjusted; None = exact, or not said
+    sigma_deg: float | None = None  # of each axis of the given rotation; None = not given
+    sigma_m: float | None = None  # of each coordinate of the given position
+    camera_sigma_px: float | None = None  # of the given focal length, to be adjusted; None = exact, or not given
 
     def soft(self) -> bool:
         """Whether its extrinsics are given with a sigma, to be adjusted about."""
@@ -103,7 +103,7 @@ PAIR_KEYS = ("baseline_m", "baseline_sigma_m", "axis_deg", "axis_sigma_deg")
 
 @dataclass(frozen=True)
 class SensorPair:
-    """What was measured between two sensors of a rig (paper 001: fixed baseline and optical axes); None = not."""
+    """A measurement between two sensors of a rig (paper 001: fixed baseline and optical axes); None = not measured."""
 
     sensors: tuple[str, str]
     baseline_m: float | None = None
@@ -119,10 +119,10 @@ class Rig:
     name: str
     sensors: tuple[Sensor, ...]
     fixed: bool = False  # True: the extrinsics are calibrated and must not be refined
-    nominal: bool = False  # True: the extrinsics are a preset or a guess (degrees off)
+    nominal: bool = False  # True: the extrinsics are a preset or a guess (off by degrees)
     antenna_m: tuple[float, float, float] | None = None  # GNSS antenna in the rig frame (lever arm)
     pairs: tuple[SensorPair, ...] = ()
-    synchronised: bool = False  # True: said to fire at one instant; False: nothing is said
+    synchronised: bool = False  # True: stated to fire at one instant; False: unknown
 
     def soft(self) -> bool:
         """Whether some of its geometry is given with a sigma, to be adjusted about; a nominal rig's is a guess."""
@@ -133,12 +133,12 @@ class Rig:
         return all(s.sensor_from_rig is not None for s in self.sensors)
 
     def measured(self) -> bool:
-        """Whether it comes from a calibration: said so, or with measured intrinsics and not called nominal."""
+        """Whether it comes from a calibration: stated, or with measured intrinsics and not called nominal."""
         given = all(s.camera is not None and calibrated(s.camera) and not s.camera_sigma_px for s in self.sensors)
         return self.fixed or (not self.nominal and given)
 
     def stitched(self) -> bool:
-        """Whether its cameras are views of panoramas: what moves between them is the stitching, not a camera."""
+        """Whether its cameras are views of panoramas: differences between them come from the stitching."""
         return all(s.source is not None and s.source.panorama for s in self.sensors)
 
     def axis_angles_deg(self) -> np.ndarray:
@@ -160,7 +160,7 @@ class Rig:
         return float(np.median(ratios)) if ratios else 1.0
 
     def index(self, sensor_name: str) -> int:
-        """Place of a sensor by name."""
+        """Index of a sensor by name."""
         return [s.name for s in self.sensors].index(sensor_name)
 
 
@@ -181,20 +181,20 @@ def rig_to_dict(rig: Rig) -> dict:
 
 
 def rig_from_dict(data: dict) -> Rig:
-    """Inverse of ``rig_to_dict``; what is not there is as of a new rig."""
+    """Inverse of ``rig_to_dict``; missing values are those of a new rig."""
     return _rigs().validate_python(data)
 
 
 def on_plane(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
     """(K, 2) places on the plane z = 1 of the camera's frame of pixels (K, 2); NaN where its lens has no inverse.
 
-    Of pixels 90 degrees off the axis of a fisheye lens and more, which have none, COLMAP gives places far inside.
+    For pixels 90 degrees off the axis of a fisheye lens and more, which have none, COLMAP gives places far inside.
     """
     xy = np.asarray(xy, float)
     plane = np.asarray(camera.cam_from_img(xy), float)
     if "FISHEYE" in camera.model.name and len(plane):
         back = np.asarray(camera.img_from_cam(np.column_stack([plane, np.ones(len(plane))])), float)
-        plane[~(np.abs(back - xy).max(axis=1) < 0.5)] = np.nan  # between a pixel and the way there and back
+        plane[~(np.abs(back - xy).max(axis=1) < 0.5)] = np.nan  # between a pixel and its back-projection
     return plane
 
 

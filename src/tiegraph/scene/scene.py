@@ -1,4 +1,4 @@
-"""The survey as a table: images, the frames they belong to and where these were taken, the rigs and passes."""
+"""The survey as a table: images, their frames with places and times, the rigs and passes."""
 
 import json
 from dataclasses import dataclass, replace
@@ -44,8 +44,8 @@ class Scene:
     prior: str = "none"
     started: bool = False  # rotations, and positions without a sigma, are those of a start model: never measured
     dropped: tuple[Dropped, ...] = ()
-    notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
-    guessed: tuple[str, ...] = ()  # passes whose order only names or times suggest: the network asks the images
+    notes: tuple[str, ...] = ()  # guesses and oddities, for people
+    guessed: tuple[str, ...] = ()  # passes whose order only names or times suggest: the network tests the images
     sources: tuple[str, ...] = ()  # N file names below the user's folder where they differ from names, else empty
     exposure: np.ndarray | None = None  # (N,) f8: time in s x ISO / (f-number squared) by EXIF, NaN = unknown
 
@@ -61,7 +61,7 @@ class Scene:
         return len(self.rig)
 
     def in_order(self, chosen: np.ndarray) -> np.ndarray:
-        """(K,) frames of a mask (F,) in the order of their steps."""
+        """(K,) frames of a mask (F,) in the order of their sequence indices."""
         own = np.flatnonzero(chosen)
         return own[np.argsort(self.sequence_index[own], kind="stable")]
 
@@ -72,7 +72,7 @@ class Scene:
 
     @cached_property
     def frame_names(self) -> tuple[str, ...]:
-        """What people are told of each frame (F): the name of its first image."""
+        """The name of each frame (F) for people: that of its first image."""
         first = np.unique(self.frame, return_index=True)[1]
         return tuple(self.names[k] for k in first)
 
@@ -116,7 +116,7 @@ class Scene:
         return self.sources[image] if self.sources else self.names[image]
 
     def mask_name(self, image: int) -> str:
-        """Name of an image in a folder of the user's masks: of its file, or its own where a file has several views."""
+        """Name of an image in a folder of the user's masks: of its file, or its own if a file has several views."""
         source = self.sensor_of(image).source
         return self.names[image] if source is not None and source.rendered else self.source_name(image)
 
@@ -134,10 +134,10 @@ class Scene:
         return np.where(np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1), world, -1).astype(np.int32)
 
     def measured_positions(self) -> np.ndarray:
-        """(F,) bool: frames whose prior position was measured and may hold or judge a model.
+        """(F,) bool: frames with a measured prior position, which may constrain or test a model.
 
-        Not among them: positions carried over a GNSS gap by a trajectory (sigma NaN), odometry with a world of its
-        own for each pass, and those of a start model, whose unit may be any.
+        Not among them: positions carried over a GNSS gap by a trajectory (sigma NaN), odometry with its own world
+        for each pass, and those of a start model, whose unit may be any.
         """
         there = np.all(np.isfinite(self.world_from_rig[:, :3, 3]), axis=1)
         if self.prior in ("gnss", "exif"):
@@ -149,8 +149,8 @@ class Scene:
         return not (self.prior == "trajectory" and self.started)
 
     def measured(self) -> "Scene":
-        """This scene with only the measured prior positions and orientations: what a model may be held by and judged
-        with."""
+        """This scene with only the measured prior positions and orientations, which may constrain and test a
+        model."""
         keep = self.measured_positions()
         pose = np.array(self.world_from_rig)
         pose[~keep, :3, 3] = np.nan
@@ -250,7 +250,7 @@ def simple_scene(
     sequence_index: np.ndarray | None = None,
     **more: Any,
 ) -> Scene:
-    """A scene of one rig with unknown poses; for loose photographs leave sequence and sequence_index away."""
+    """A scene of one rig with unknown poses; for loose photographs omit sequence and sequence_index."""
     frames = int(np.max(frame)) + 1 if len(names) else 0
     columns: dict[str, Any] = {
         "rig": np.zeros(frames),
@@ -266,8 +266,8 @@ def simple_scene(
 
 
 def between_neighbours(positions: np.ndarray, scene: Scene) -> np.ndarray:
-    """Positions (F, C) of the frames; those without one (NaN) stand between their neighbours on the pass, evenly by
-    number. Beyond the known ends of a pass they stay unknown."""
+    """Positions (F, C) of the frames; those without one (NaN) are interpolated between their neighbours on the pass,
+    evenly by number. Beyond the known ends of a pass they stay unknown."""
     out = positions.copy()
     for number in np.unique(scene.sequence[scene.sequence >= 0]):
         own = scene.in_order(scene.sequence == number)
@@ -280,7 +280,7 @@ def between_neighbours(positions: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def of_frames(centre: np.ndarray, scene: Scene) -> np.ndarray:
-    """(F, 3) place of each frame: of its first image with one, of centre (N, 3); NaN = none has."""
+    """(F, 3) position of each frame: of its first image with a centre (N, 3); NaN = none has."""
     out = np.full((scene.frames, 3), np.nan)
     known = np.flatnonzero(np.isfinite(centre).all(axis=1))
     frames, first = np.unique(scene.frame[known], return_index=True)

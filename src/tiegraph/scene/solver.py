@@ -5,9 +5,9 @@ from typing import Any
 
 import pycolmap
 
-# COLMAP leaves the sparse factorisation for an iterative solver at 1000 images, rig or not. What is factorised are the
-# frames, and in surveys each sees few others: a corridor of 2000 images in 500 frames took five times the time of one
-# of 1000 (benchmarks/sfm/README.md). Above so many frames the fill-in of loose collections might not fit into memory.
+# COLMAP replaces the sparse factorisation by an iterative solver at 1000 images, rig or not. Factorised are
+# the frames, and in surveys each sees few others: a corridor of 2000 images in 500 frames took five times the time of
+# one of 1000 (benchmarks/sfm/README.md). Above this number the fill-in of loose collections might not fit into memory.
 MOST_FRAMES = 10_000
 # Ceres adds up the parts of its threads in the order they come (github.com/ceres-solver/ceres-solver/issues/664): with
 # two, no run is like another. One thread gives every run and every machine's number of cores the same sums. (Costs
@@ -21,9 +21,9 @@ NEAR_RADIUS = 1e7
 def options_of(
     iterations: int, tolerance: float | None = None, robust_px: float | None = None, **refine: bool
 ) -> pycolmap.BundleAdjustmentOptions:
-    """Options of an adjustment that gives the same bits each time: at most so many ``iterations``, until the cost
-    changes by less than ``tolerance`` of itself, with Cauchy's loss of scale ``robust_px``, where these are given;
-    ``refine_...``: what is adjusted that COLMAP would hold, or the other way round."""
+    """Options of an adjustment with reproducible bits: at most ``iterations``, until the cost changes by a relative
+    amount less than ``tolerance``, with Cauchy's loss of scale ``robust_px``, if these are given;
+    ``refine_...``: parameters adjusted that COLMAP would hold, or the other way round."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, **refine)
     if robust_px is not None:
         _change(options, loss_function_type=pycolmap.LossFunctionType.CAUCHY, loss_function_scale=robust_px)
@@ -34,7 +34,7 @@ def options_of(
 
 
 def _change(options: pycolmap.BundleAdjustmentOptions, solver: Mapping[str, Any] | None = None, **ceres: Any) -> None:
-    """Set options of Ceres and of its solver; what pycolmap gives of them are copies."""
+    """Set options of Ceres and of its solver; pycolmap returns copies of them."""
     own = options.ceres
     inner = own.solver_options
     for name, value in (solver or {}).items():
@@ -54,8 +54,8 @@ def all_images(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfi
 
 
 def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
-    """Let an adjustment of so many frames and images be solved by sparse factorisation, unless it is too large, and
-    always with the same sums."""
+    """Make an adjustment of some frames and images use sparse factorisation, unless it is too large, and
+    always the same sums."""
     if frames <= MOST_FRAMES:
         most = max(options.ceres.max_num_images_direct_sparse_cpu_solver, images)
         _change(options, max_num_images_direct_sparse_cpu_solver=most)
@@ -63,10 +63,10 @@ def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: i
 
 
 def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
-    """Let an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
+    """Make an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
     _change(options, {"num_threads": THREADS}, use_gpu=False)
 
 
 def undamped(options: pycolmap.BundleAdjustmentOptions) -> None:
-    """Let an adjustment of a model that was adjusted before begin with whole steps: few do, however long it is."""
+    """Make an adjustment of a model that was adjusted before begin with whole steps: few suffice at any length."""
     _change(options, {"initial_trust_region_radius": NEAR_RADIUS})

@@ -1,4 +1,4 @@
-"""Many numbers: tables of columns, sorting of points by voxel, tile or node, even samples."""
+"""Large arrays: tables of columns, sorting of points by voxel, tile or node, even samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -11,7 +11,7 @@ T = TypeVar("T", bound="Columns")
 
 
 class Arrays:
-    """Base of dataclasses whose fields are arrays, which a .npz holds by their names."""
+    """Base of dataclasses whose fields are arrays, stored in a .npz by their names."""
 
     def to_npz(self) -> dict[str, np.ndarray]:
         """Columns for ``np.savez``."""
@@ -24,7 +24,7 @@ class Arrays:
 
 
 class Columns:
-    """Base of dataclasses whose arrays, the first field among them, are columns of one length; others are of all."""
+    """Base of dataclasses whose arrays, the first field among them, are columns of one length; others are shared."""
 
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
@@ -36,7 +36,7 @@ class Columns:
 
     @classmethod
     def concatenate(cls: type[T], parts: Sequence[T]) -> T:
-        """The rows of several tables (one at least), one after another; what is no column is that of the first."""
+        """The rows of several tables (one at least), one after another; other fields are those of the first."""
         first = parts[0]
         names = [n for n, v in vars(first).items() if isinstance(v, np.ndarray)]
         return replace(first, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})  # type: ignore
@@ -56,7 +56,7 @@ def run_starts(numbers: np.ndarray) -> np.ndarray:
 
 
 def order_of(numbers: np.ndarray) -> np.ndarray:
-    """What sorts whole numbers >= 0, equal ones in their order."""
+    """Order that sorts whole numbers >= 0, equal ones in their order."""
     if len(numbers) and int(numbers.max()) < 1 << 32 and len(numbers) < 1 << 31:
         # Number and place in one integer: sorting these takes a fifth of the time of finding an order.
         packed = numbers.astype(np.uint64) << np.uint64(32) | np.arange(len(numbers), dtype=np.uint64)

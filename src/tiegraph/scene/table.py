@@ -1,7 +1,7 @@
-"""Small text tables, read in one way whatever they hold: CSV, semicolons, tabs or blanks.
+"""Small text tables, all read in one way: CSV, semicolons, tabs or blanks.
 
-The header may stand behind # or %, below a preamble, in another language, with units in brackets, at the ends of names
-or in a line of their own. Where there is none, what reads the table says by the cells what the columns are.
+The header may follow # or %, be below a preamble, in another language, with units in brackets, at the ends of names
+or in a line of their own. Without one, the reader of the table decides by the cells what the columns are.
 """
 
 import re
@@ -45,24 +45,24 @@ _LEVELS = re.compile(r"(?i).*(msl|asl|hae|ell|geoid|ortho|egm|navd|wgs|level|dat
 _LISTED = ("a fix", "a unit", "a datum")  # of which the values are said
 Rows = Sequence[tuple[int, tuple[str, ...]]]
 Layout = Callable[[Sequence[tuple[str, ...]]], tuple[str, ...]]
-"""Names of the columns of rows without a header; () where nothing tells them."""
+"""Names of the columns of rows without a header; () if undecided."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells with their line numbers; column names in lower case without units, which stand apart."""
+    """Rows of cells with their line numbers; column names in lower case without units, which are separate."""
 
     path: Path
     columns: tuple[str, ...]
     rows: tuple[tuple[int, tuple[str, ...]], ...]
-    units: tuple[str, ...] = ()  # of each column, in lower case; "" = nothing
-    notes: tuple[str, ...] = ()  # what was doubtful about the file as a whole
+    units: tuple[str, ...] = ()  # of each column, in lower case; "" = none
+    notes: tuple[str, ...] = ()  # doubts about the file as a whole
     head: tuple[int, str] = (0, "")  # line and text of the header; 0 = there is none
     delimiter: str | None = ","  # None = blanks
 
     def find(self, role: str | tuple[str, ...]) -> int | None:
-        """Index of the first column with one of the names of a role (``cells.ROLES``), or of some names, with a
-        unit at its end or without. Raises InputError if that name stands twice."""
+        """Index of the first column with one of the names of a role (``cells.ROLES``), or of some names, with or
+        without a unit at its end. Raises InputError if that name occurs twice."""
         names = ROLES[role] if isinstance(role, str) else role
         name = next((a for a in names if a in self.columns), None)
         if name is None:
@@ -73,12 +73,12 @@ class Table:
         if len(found) > 1:
             raise InputError(
                 f"{self.path}: the header has the column {name!r} {len(found)} times (columns "
-                f"{', '.join(str(k + 1) for k in found)}): leave the one that counts, and rename the others"
+                f"{', '.join(str(k + 1) for k in found)}): keep the right one, and rename the others"
             )
         return found[0]
 
     def unit(self, column: int | None) -> str:
-        """Unit of a column as its header gives it, or a column beside it (antenna_height_units); "" if none does."""
+        """Unit of a column by its header, or by a column beside it (antenna_height_units); "" if neither."""
         if column is None:
             return ""
         name = self.columns[column]
@@ -101,11 +101,11 @@ class Table:
 
     @cached_property
     def comma(self) -> bool | None:
-        """As ``cells.comma_marks`` says of all cells."""
+        """``cells.comma_marks`` of all cells."""
         return comma_marks([c for _, cells in self.rows for c in cells if "," in c])
 
     def plain(self, row: int, column: int | None) -> str:
-        """Text of a cell, a number with a point and no groups. Raises InputError where it may be two numbers."""
+        """Text of a cell, a number with a point and no groups. Raises InputError if it is ambiguous."""
         cell = self.cell(row, column)
         return cell if not self.comma and number(cell) == number(cell) else plain(cell, self.comma, self.where(row))
 
@@ -116,7 +116,7 @@ class Table:
         return np.array([number(self.plain(k, column)) for k in range(len(self.rows))], float)
 
     def metres(self, column: int | None) -> np.ndarray:
-        """(R,) lengths of a column, NaN where there is none. Raises InputError for a unit that is none."""
+        """(R,) lengths of a column, NaN where there is none. Raises InputError for an invalid unit."""
         if column is None:
             return np.full(len(self.rows), np.nan)
         size = self.unit_m(column) or 1.0
@@ -131,15 +131,15 @@ class Table:
         return UNIT_M.get(unit)
 
     def half(self, column: int | None, letters: str) -> int | None:
-        """The column that says on which half of the Earth, NS or EW, an angle is, if there is one."""
+        """The column with the half of the Earth, NS or EW, of an angle, if there is one."""
         if column is None:
             return None
         north, east = letters.lower()
         return self.find((*(h.format(self.columns[column]) for h in _HALVES), f"{north}_{east}", north + east))
 
     def angles(self, column: int | None, letters: str = "") -> np.ndarray:
-        """(R,) degrees of a column, negative on the second half of the Earth that ``letters``, NS or EW, name. The
-        letter stands in the cell or in a column beside; NaN where there is none. Cells may have minutes and seconds.
+        """(R,) degrees of a column, negative on the second half of the Earth of ``letters``, NS or EW. The
+        letter is in the cell or in a column beside; NaN where there is none. Cells may have minutes and seconds.
 
         Raises InputError for another letter, and for another unit.
         """
@@ -165,8 +165,8 @@ class Table:
         return some_lines([self.line(k) for k in rows])
 
     def said(self, used: Mapping[str, int | None]) -> str:
-        """Which columns are used as what, and which are passed over; of these, what might change the others' meaning
-        with its commonest values.
+        """The use of the columns, and which are not used; of these, those that may change the others' meaning
+        with their commonest values.
 
         Raises InputError for a column of letters N and S, or E and W, that is none of those used.
         """
@@ -200,7 +200,7 @@ class Table:
         if found and (found <= {"N", "S"} or found <= {"E", "W"}) and found & {"S", "W"}:
             raise InputError(
                 f"{self.path}: column {self.columns[column]!r} has halves of the Earth ({', '.join(sorted(found))}), "
-                "and nothing says of which column: call it lat_ref or lon_ref, or leave it out"
+                "but of an unknown column: call it lat_ref or lon_ref, or leave it out"
             )
 
 
@@ -212,7 +212,7 @@ def some_lines(lines: Sequence[int]) -> str:
 def read_table(path: Path, purpose: str, example: str, layout: Layout | None = None) -> Table:
     """Read a table; lines that start with # or % are comments (one as wide as the rows may be the header).
 
-    ``example`` is a header that would do, ``layout`` names the columns of a table without one. Raises InputError,
+    ``example`` is a suitable header, ``layout`` names the columns of a table without one. Raises InputError,
     naming file and line, if the file cannot be read as text, is empty, has no header, has a row with more cells than
     the header (decimal commas, a missing column name) or a second header that names other columns.
     """
@@ -224,7 +224,7 @@ def table_of(
     path: Path, purpose: str, lines: Sequence[tuple[int, str]], example: str, layout: Layout | None = None,
     notes: Sequence[str] = (),
 ) -> Table:  # fmt: skip
-    """The table in some numbered lines of a file, stripped and not empty; raises what ``read_table`` raises."""
+    """The table in some numbered lines of a file, stripped and not empty; raises as ``read_table``."""
     if not any(line[0] not in "#%" for _, line in lines):
         raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line, such as {example}")
     first, start = _first_rows(lines)
@@ -238,7 +238,7 @@ def table_of(
         names = layout([cells for _, cells in given]) if layout else ()
         if not names:
             raise InputError(
-                f"{path}, line {lines[first][0]}: no header says what the columns are, and the cells do not: "
+                f"{path}, line {lines[first][0]}: neither a header nor the cells show what the columns are: "
                 f"{lines[first][1]!r:.99}; write a first line with their names, such as {example}"
             )
         named = list(names)
@@ -262,7 +262,7 @@ def table_of(
 
 
 def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
-    """Index of the first line that holds a value, and of its header, None if it has none."""
+    """Index of the first line with a value, and of its header, None if it has none."""
     plain_lines = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%"]
     first = next((k for k in plain_lines if holds_values(lines[k][1])), None)
     if first is None:
@@ -282,7 +282,7 @@ def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
 
 
 def _row_delimiters(row: str, delimiter: str | None, width: int) -> list[str | None]:
-    """What may part the cells of rows below a header so that they are as wide; first what parts it."""
+    """Delimiters with which the rows below a header have its width; first its own."""
     tried = (delimiter, delimiter_of_rows(row), None)
     return [d for d in tried if len(_joined_date(_filled(row, d), width)) == width]
 
@@ -327,14 +327,14 @@ def _rows(
 
 
 def _commented(path: Path, below: Sequence[tuple[int, str]], width: int, delimiter: str | None) -> list[str]:
-    """What to say of rows that begin with # or %."""
+    """A note on rows that begin with # or %."""
     rows = [(n, line.lstrip("#% ")) for n, line in below if line[0] in "#%"]
     lost = [n for n, line in rows if len(split_cells(line, delimiter)) == width > 1 and holds_values(line)]
     return [f"{path.name}, {some_lines(lost)}: {len(lost)} rows begin with # or % and are passed over"] if lost else []
 
 
 def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
-    """A date and a time that a blank parted (RTKLIB writes them below one column name) as one cell again."""
+    """A date and a time separated by a blank (RTKLIB writes them below one column name) as one cell again."""
     if len(cells) == columns + 1 and re.fullmatch(r"\d{4}[-/]\d\d[-/]\d\d", cells[0]) and ":" in cells[1]:
         return (f"{cells[0]} {cells[1]}", *cells[2:])
     return cells

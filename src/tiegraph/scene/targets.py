@@ -1,10 +1,10 @@
-"""Coded targets and scale bars as their files name them, and corners of what is printed black on white.
+"""Coded targets and scale bars by their names in files, and corners of patterns printed black on white.
 
 A target is named by its family and number: ``tag36h11:12``, ``tag25h9:3``, ``4x4_50:7``, ``aruco_original:5``,
 ``DICT_6X6_250:1``; the families are OpenCV's dictionaries.
 
 A scale bar is a row of a table in a control point file. The header has the columns from, to, length and, if known,
-sigma and role (bar or check); lengths are in metres, or as the header says in brackets: ``from,to,length (mm),sigma
+sigma and role (bar or check); lengths are in metres, or in the unit in brackets: ``from,to,length (mm),sigma
 (mm)``.
 
 The corners, found by OpenCV to hundredths of a pixel, serve boards (``calibrate``) and targets (``targets``) alike.
@@ -29,19 +29,19 @@ _APRILTAG, _ARUCO = "apriltag_", "aruco_"
 
 @dataclass(frozen=True, order=True)
 class Target:
-    """A coded target: the name of its family, as OpenCV calls it in lower case without DICT_, and its number."""
+    """A coded target: the name of its family, OpenCV's in lower case without DICT_, and its number."""
 
     family: str
     number: int
 
     @property
     def name(self) -> str:
-        """As a user writes it."""
+        """Its name for users."""
         return f"{self.family.replace(_APRILTAG, 'tag')}:{self.number}"
 
 
 def target_of(name: str) -> Target | None:
-    """The target that a point's name means, None if it is the name of no target."""
+    """The target of a point's name, None if it is the name of no target."""
     found = _NAME.fullmatch(name)
     if found is None:
         return None
@@ -74,7 +74,7 @@ def dictionary(family: str) -> cv2.aruco.Dictionary:
 
 
 def count_of(family: str) -> int:
-    """How many targets a family has, numbered from 0."""
+    """The number of targets of a family, numbered from 0."""
     return len(dictionary(family).bytesList)
 
 
@@ -85,7 +85,7 @@ _REFINED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 0.001)
 def refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, share: float, bounds_px: tuple[int, int]) -> np.ndarray:
     """Corners (K, 2) of an image (H, W) u1, OpenCV's pixels, each where all edges about it meet.
 
-    About each so much (``free_px``) is free of other edges; half the window is a ``share`` of that, within bounds.
+    A radius of ``free_px`` about each has no other edges; half the window is a ``share`` of that, within bounds.
     """
     half = int(np.clip(round(share * free_px), *bounds_px))
     places = np.array(xy, np.float32).reshape(-1, 1, 2)
@@ -100,7 +100,7 @@ BAR_FORM = (
 
 @dataclass(frozen=True)
 class FileBar:
-    """A scale bar as its file gives it: names of its ends, length and sigma in metres, line."""
+    """A scale bar of a file: names of its ends, length and sigma in metres, line."""
 
     ends: tuple[str, str]
     length_m: float
@@ -116,8 +116,8 @@ def names_bars(names: tuple[str, ...]) -> bool:
 
 
 def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
-    """The bars of a table, and which columns were read. Raises InputError, naming file and line, for lengths and sigmas
-    that are none."""
+    """The bars of a table, and the columns read. Raises InputError, naming file and line, for invalid lengths and
+    sigmas."""
     used = {r: table.find(r) for r in ("from", "to", "length", "sigma", "role")}
     first, second, length, sigma, role = used.values()
     lengths, sigmas = table.metres(length), table.metres(sigma)
@@ -126,12 +126,12 @@ def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
         where = table.where(row)
         ends = (table.cell(row, first), table.cell(row, second))
         if not all(ends) or ends[0] == ends[1]:
-            raise InputError(f"{where}: a scale bar needs two names that differ, got {ends[0]!r} and {ends[1]!r}")
+            raise InputError(f"{where}: a scale bar needs two different names, got {ends[0]!r} and {ends[1]!r}")
         known = float(lengths[row])
         if not 0 < known <= tuning.longest_bar_m:
             raise InputError(
                 f"{where}: length = {table.cell(row, length)}: above 0 and at most {tuning.longest_bar_m:g} m; "
-                "millimetres are said in the header, length (mm)"
+                "millimetres are stated in the header, length (mm)"
             )
         spread = float(sigmas[row]) if table.cell(row, sigma) else tuning.bar_sigma_m
         if not 0 < spread < known:
@@ -144,7 +144,7 @@ def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
         for known_bar in out[:-1]:
             if set(known_bar.ends) == set(ends):
                 raise InputError(
-                    f"{where}: the bar from {ends[0]!r} to {ends[1]!r} stands in line {known_bar.line} already "
-                    f"({known_bar.length_m:g} m there, {known:g} m here): leave one"
+                    f"{where}: the bar from {ends[0]!r} to {ends[1]!r} is in line {known_bar.line} already "
+                    f"({known_bar.length_m:g} m there, {known:g} m here): keep one"
                 )
     return out, table.said(used)

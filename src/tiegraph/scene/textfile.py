@@ -16,18 +16,18 @@ from tiegraph.scene.cells import known_words, says_value
 from tiegraph.scene.regular import regular
 from tiegraph.text import composed
 
-_HEAD = 1 << 14  # characters among which a header stands
+_HEAD = 1 << 14  # characters in which a header is searched for
 
 
 def text_lines(text: str) -> list[str]:
-    """The lines of a text as editors count them (``str.splitlines`` also parts at form feeds and other separators), in
-    composed form, as names are."""
+    """The lines of a text as editors count them (``str.splitlines`` also splits at form feeds and other separators),
+    in composed form, as names are."""
     return re.split(r"\r\n|\r|\n", composed(text))
 
 
 def filled_lines(text: str) -> list[tuple[int, str]]:
-    """The numbered lines of a text that hold something, without blanks at their ends; a tab before all is an indent,
-    another stands behind an empty cell. Excel's ``sep=;`` is left out."""
+    """The numbered lines of a text that are not empty, without blanks at their ends; a tab before all is an indent,
+    another follows an empty cell. Excel's ``sep=;`` is left out."""
     lines = [(k, line.strip(" \x0b\x0c\ufeff")) for k, line in enumerate(text_lines(text), start=1)]
     lines = [(k, line) for k, line in lines if line.strip(' \t,;|"') and not re.fullmatch(r"(?i)\"?sep=.\"?", line)]
     indented = all(line[0] == "\t" or line.lstrip()[0] in "#%" for _, line in lines)
@@ -36,7 +36,7 @@ def filled_lines(text: str) -> list[tuple[int, str]]:
 
 
 def utf8_text(path: Path, where: str, remedy: str = "") -> str:
-    """Text of a file that is UTF-8; ``where``: what errors call it. Raises InputError, ending with ``remedy``."""
+    """Text of a UTF-8 file; ``where``: its name in errors. Raises InputError, ending with ``remedy``."""
     try:
         return regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -44,7 +44,7 @@ def utf8_text(path: Path, where: str, remedy: str = "") -> str:
 
 
 def whole_file(path: Path, remedy: str) -> bytes:
-    """What is in a file. Raises InputError, which ends with ``remedy``, if it cannot be read."""
+    """The contents of a file. Raises InputError, which ends with ``remedy``, if it cannot be read."""
     try:
         return regular(path).read_bytes()
     except OSError as error:
@@ -52,13 +52,13 @@ def whole_file(path: Path, remedy: str) -> bytes:
 
 
 def text_of(path: Path, purpose: str) -> tuple[str, list[str]]:
-    """Text of a file, and notes, as ``decoded`` says."""
+    """Text of a file, and notes, as in ``decoded``."""
     return decoded(path, whole_file(path, f"give the {purpose} as a CSV file"), purpose)
 
 
 def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
     """Text of a file, UTF-8 or UTF-16 with its mark, and notes; another is read as Windows writes it in the West or in
-    Japan, whichever gives more names of columns. Raises InputError if it is none."""
+    Japan, whichever gives more names of columns. Raises InputError if it is no text."""
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     notes = []
     try:
@@ -73,7 +73,7 @@ def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
             text = max(texts, key=lambda t: max(known_words(_words(line)) for line in text_lines(t[:_HEAD])))
             notes = [f"{path.name}, line {line}: not UTF-8; names with such letters may not be found: save it as UTF-8"]
     if "\0" in text:
-        raise InputError(f"{path}: is no text (it holds zero bytes or no letters); give the {purpose} as a CSV file")
+        raise InputError(f"{path}: is no text (it has zero bytes or no letters); give the {purpose} as a CSV file")
     return text, notes
 
 
@@ -89,30 +89,30 @@ def delimiter_of(line: str) -> str | None:
 
 
 def delimiter_of_rows(line: str) -> str | None:
-    """The delimiter of a line of values, where a comma may be a point."""
+    """The delimiter of a line of values, in which a comma may be a decimal point."""
     return next((d for d in "\t;|," if d in line), None)
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:
-    """Cells of a line; a delimiter between quotes parts none."""
+    """Cells of a line; a delimiter between quotes separates none."""
     parts = line.split(delimiter)
     if '"' in line:
         one = line if delimiter else " ".join(line.split())
         try:
             parts = next(csv.reader([one], delimiter=delimiter or " ", skipinitialspace=True))
-        except csv.Error:  # a cell longer than the reader takes: no table anyway, and what reads it says so
+        except csv.Error:  # a cell longer than the reader takes: no table anyway, and its reader reports it
             pass
     return [c.strip().strip('"').strip() for c in parts]
 
 
 def column_names(header: str) -> list[str]:
-    """The columns' names. Blanks part them only where they do not stand before a unit: "Time (s) Latitude [deg]"."""
+    """The columns' names. Blanks separate them only if they do not precede a unit: "Time (s) Latitude [deg]"."""
     delimiter = delimiter_of(header)
     return split_cells(header if delimiter else re.sub(r"\s+(?=[(\[])", "", header), delimiter)
 
 
 def header_words(line: str) -> tuple[str, ...]:
-    """Names of the columns that a line may give; () if it holds values."""
+    """Names of the columns that a line may give; () if it has values."""
     return () if holds_values(line) else _words(line)
 
 

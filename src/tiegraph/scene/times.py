@@ -1,10 +1,10 @@
 """Times: GPS time and UTC as seconds since 1970, which are the times of this program; and the times of a table.
 
-GPS time knows no leap seconds. GPS - UTC has changed on the dates below (IERS Bulletin C; IS-GPS-200). During a leap
+GPS time has no leap seconds. GPS - UTC has changed on the dates below (IERS Bulletin C; IS-GPS-200). During a leap
 second UTC counts the second after it twice, as POSIX does.
 
-A number in a table says nothing of its scale: 1.4e9 is a day of 2014 in seconds since 1970 and one of 2024 in seconds
-since 1980. So the name of the column decides, and where that says both, the user is asked.
+A number in a table does not show its scale: 1.4e9 is a day of 2014 in seconds since 1970 and one of 2024 in seconds
+since 1980. So the name of the column decides, and if that allows both, the user is asked.
 """
 
 import bisect
@@ -24,7 +24,7 @@ WEEK_S = 604800.0
 DAY_S = 86400.0
 DATED_S = 1e8  # 1973: times above this are dates
 ROLLOVER_WEEKS = 1024  # receivers that count weeks in ten bits begin again at 0, first on 22 August 1999
-_SEAM_S = 60.0  # rows on both sides of midnight lie no farther apart
+_SEAM_S = 60.0  # largest step between rows on both sides of midnight
 _LEAP_DAYS = (
     "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
     "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
@@ -47,7 +47,7 @@ def gps_from_utc(time_s: np.ndarray) -> np.ndarray:
 
 
 def going_on(seconds: np.ndarray, period_s: float) -> np.ndarray:
-    """Times (R,) that count within a day or a week, NaN = unknown, going on where one ends: a step back by more than
+    """Times (R,) that count within a day or a week, NaN = unknown, continued at its end; a step back by more than
     half of it is its end."""
     known = np.isfinite(seconds)
     out = np.array(seconds, float)
@@ -61,7 +61,7 @@ def period_of(seconds: np.ndarray) -> float:
     known = seconds[np.isfinite(seconds)]
     back = np.diff(known)
     for period_s in (DAY_S, WEEK_S):
-        seam = back + period_s  # what lies between the rows on both sides of the end
+        seam = back + period_s  # time between the rows on both sides of the end
         inside = np.all((known >= 0) & (known <= period_s))
         if inside and np.any((back < -period_s / 2) & (seam >= 0) & (seam <= _SEAM_S)):
             return period_s
@@ -69,7 +69,7 @@ def period_of(seconds: np.ndarray) -> float:
 
 
 def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[np.ndarray, str]:
-    """Times (R,) on the clock of frames (F,), and what to say of it.
+    """Times (R,) on the clock of frames (F,), and notes.
 
     Times that count within a day or a GPS week (``period_s``, else 0) become those of the day or week nearest to the
     frames; where these have no dates only if both then overlap. Dates 1024 weeks back are brought forward.
@@ -106,7 +106,7 @@ def leap_seconds(time_s: np.ndarray) -> np.ndarray:
 
 
 def check_week(week: float, where: str) -> None:
-    """Raise InputError, naming where it stands, for a week that is no whole GPS week counted since 1980."""
+    """Raise InputError, naming the place, for a number that is no whole GPS week counted since 1980."""
     if not (week == int(week) and ROLLOVER_WEEKS <= week < 5 * ROLLOVER_WEEKS):
         raise InputError(
             f"{where}: GPS week {week:g} is none since 1999: write the full count of weeks since 6 January 1980, not "
@@ -115,8 +115,8 @@ def check_week(week: float, where: str) -> None:
 
 
 def out_of_order(times: np.ndarray) -> np.ndarray:
-    """Rows of times (R,) that stand out of order: all but the longest run of rows that never go back, where that is
-    most of them; else the rows that go back. One time that is too large is blamed itself, not the row after it."""
+    """Rows of times (R,) out of order: all but the longest run of rows that never go back, if that is
+    most of them; else the rows that go back. A time that is too large is itself listed, not the row after it."""
     starts: list[float] = []  # first time, negative, of the best run of each length, and its row
     rows: list[int] = []
     after = np.full(len(times), -1)  # the next row of its run
@@ -134,7 +134,7 @@ def out_of_order(times: np.ndarray) -> np.ndarray:
 
 
 def in_time_order(time_s: np.ndarray, line: Sequence[int], path: Path) -> tuple[np.ndarray, list[str]]:
-    """Rows of a file with times (R,) in their order, the first of each time, and what to say of that; ``line`` of each.
+    """Rows of a file with times (R,) in their order, the first of each time, and notes; ``line`` of each.
     Raises InputError for one time for all."""
     notes, order = [], np.argsort(time_s, kind="stable")
     for k in out_of_order(time_s)[:1].tolist():
@@ -158,13 +158,13 @@ def in_time_order(time_s: np.ndarray, line: Sequence[int], path: Path) -> tuple[
     return order[~twin], notes
 
 
-TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
-_OVER_S = 3600.0  # programs count on past the end of a week rather than jump
+TIME_LIMIT_S = 1e11  # the year 5138: larger numbers are no time in seconds
+_OVER_S = 3600.0  # programs continue past the end of a week rather than jump
 
 
 @dataclass(frozen=True)
 class Times:
-    """Times of a table: (R,) seconds, NaN where there is none, and the columns that they stand in by their roles."""
+    """Times of a table: (R,) seconds, NaN where there is none, and their columns by role."""
 
     seconds: np.ndarray
     used: dict[str, int | None]
@@ -173,7 +173,7 @@ class Times:
 
     @property
     def column(self) -> int:
-        """The column that an error names."""
+        """The column named in errors."""
         return next(k for k in self.used.values() if k is not None)
 
 
@@ -182,8 +182,8 @@ def times_of(table: Table) -> Times | None:
 
     Numbers of a column time, t, utc ... count from any epoch, texts are dates or times of day. A column gps_week with
     seconds of the week, gps_seconds (since 6 January 1980) and dates in a column gps_time are GPS time and become
-    seconds since 1970, UTC. Raises InputError for a column gps_time of numbers that may be either, and for a week or
-    seconds of it that are none.
+    seconds since 1970, UTC. Raises InputError for a column gps_time of ambiguous numbers, and for an invalid week or
+    seconds of it.
     """
     week, column = table.find("GPS week"), table.find("time")
     if column is not None and (week is None or not _within_a_week(table, column)):
@@ -211,7 +211,7 @@ def times_in(table: Table, column: int) -> Times:
 
 
 def _date(table: Table) -> int | None:
-    """The column of dates, if it holds some: in English a datum is none."""
+    """The column of dates, if it has some: in English a datum is none."""
     column = table.find("date")
     first = next((c for k in range(len(table.rows)) if (c := table.cell(k, column))), "")
     return column if parse_time(first) == parse_time(first) else None
@@ -229,7 +229,7 @@ def _seconds(table: Table, column: int, date: int | None = None) -> np.ndarray:
 
 
 def _within_a_week(table: Table, column: int) -> bool:
-    """Whether a column holds numbers that may be seconds of a week."""
+    """Whether a column has numbers that can be seconds of a week."""
     numbers = table.numbers(column)
     known = numbers[np.isfinite(numbers)]
     return bool(len(known)) and bool(np.all((known >= 0) & (known <= WEEK_S + _OVER_S)))
@@ -246,7 +246,7 @@ def _named_gps(table: Table, week: int | None, column: int) -> Times:
         return _of_week(table, week, column, 1.0 if most <= WEEK_S + _OVER_S else 1e-3)  # ArduPilot: milliseconds
     row = int(np.flatnonzero(np.abs(seconds) > WEEK_S + _OVER_S)[0])
     raise InputError(
-        f"{table.where(row)}: {table.columns[column]} {table.cell(row, column)} may count from 1980 (GPS) or from 1970 "
+        f"{table.where(row)}: {table.columns[column]} {table.cell(row, column)} can count from 1980 (GPS) or from 1970 "
         "(Unix, UTC): name the column gps_seconds, or unix_time"
     )
 
@@ -274,6 +274,6 @@ def _gps(table: Table, used: dict[str, int | None], gps_s: np.ndarray) -> Times:
 
 
 def gps_note(name: str, time_s: np.ndarray) -> str:
-    """What to say of a file in GPS time whose times (R,) are UTC now."""
+    """A note on a file in GPS time whose times (R,) are UTC now."""
     leaps = leap_seconds(np.nanmedian(time_s)) if np.isfinite(time_s).any() else 0
     return f"{name}: GPS time, made UTC by taking off {leaps} leap seconds"

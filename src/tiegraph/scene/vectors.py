@@ -1,5 +1,5 @@
 """Points, lines and polygons of GIS: GeoJSON features, the layers of a GeoPackage, which GDAL (pyogrio) writes from
-them, and lines and polygons that are read from files."""
+them, and lines and polygons from files."""
 
 import io
 import json
@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.errors import EngineMissing, InputError
 
 Layer = list[dict[str, Any]]
-_WRITTEN = "1970-01-01T00:00:00.000Z"  # the date that a GeoPackage has of itself: the same data, the same bytes
+_WRITTEN = "1970-01-01T00:00:00.000Z"  # the date in a GeoPackage: the same data, the same bytes
 
 
 def feature(kind: str, coordinates: np.ndarray, said: dict[str, Any]) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def _is_number(text: str) -> bool:
 
 
 def _open(vertices: np.ndarray) -> np.ndarray:
-    """Without vertices that are there twice in a row, and without the first again at the end of a ring of three."""
+    """Without repeated vertices, and without the repeated first one at the end of a ring of three."""
     kept = vertices[np.r_[True, np.any(np.diff(vertices, axis=0) != 0, axis=1)]]
     return kept[:-1] if len(kept) > 3 and (kept[0] == kept[-1]).all() else kept
 
@@ -111,7 +111,7 @@ def _parts(data: dict[str, Any], kind: str, axes: int) -> list[np.ndarray]:
         each = shape["coordinates"] if shape["type"].startswith("Multi") else [shape["coordinates"]]
         if kind == "polygon":
             if any(len(rings) > 1 for rings in each):
-                raise InputError("a polygon with a hole is not taken: cut it in two")
+                raise InputError("a polygon with a hole is not accepted: cut it in two")
             each = [rings[0] for rings in each]
         found = [np.array([c[:axes] for c in part], float).reshape(-1, axes) for part in each]
         out += found if kind == "line" else [_open(p) for p in found]
@@ -119,7 +119,7 @@ def _parts(data: dict[str, Any], kind: str, axes: int) -> list[np.ndarray]:
 
 
 def _named(data: dict[str, Any]) -> str:
-    """The CRS that older GeoJSON names; by RFC 7946 it is WGS84."""
+    """The CRS in older GeoJSON; by RFC 7946 it is WGS84."""
     return str((data.get("crs") or {}).get("properties", {}).get("name", "OGC:CRS84"))
 
 
@@ -127,6 +127,6 @@ def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | 
     raw = gdal(str(path), "or save it as GeoJSON, or as a CSV of east and north")
     meta, _, shapes, _ = raw.read(path, layer=0, columns=[])
     text = io.BytesIO()
-    given = meta["crs"] or "EPSG:4326"  # some, without which pyogrio warns; coordinates stay as they are
+    given = meta["crs"] or "EPSG:4326"  # any, without which pyogrio warns; coordinates stay unchanged
     raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=given)
     return _parts(json.loads(text.getvalue()), kind, axes), meta["crs"]

@@ -1,8 +1,8 @@
-"""Groups of frames that little ties to the rest: candidates from links, the strongest first, and points across.
+"""Weakly tied groups of frames: candidates from links, the strongest first, and shared points.
 
-A frame by itself may have points enough and yet share them with two others only, which stand wrong together with it.
-So groups are asked as well: those that arise when frames are joined by their links, the strongest first (single
-linkage). A group that holds together better than it hangs on the rest is one of them.
+A frame may have enough points and yet share them with two others only, which are displaced together with it.
+So groups are tested as well: those that arise when frames are joined by their links, the strongest first (single
+linkage). A group with more ties inside than to the rest is one of them.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from tiegraph.scene.graph import parts
 
 @dataclass(frozen=True)
 class WeaklyTied:
-    """Frames that hang together, and how many points they share with all the others."""
+    """Connected frames, and how many points they share with all the others."""
 
     frames: tuple[int, ...]
     points: int
@@ -42,8 +42,8 @@ def weakly_tied(
     """Groups of frames that share fewer than ``least`` points with the others, and single frames with fewer than
     ``alone`` (None: likewise), the fewest first; no frame is in two.
 
-    point, frame (K,): which frame sees which point. ``present`` (F,) bool: frames that have a place. Of two sides the
-    smaller is the group. Frames that share ``least`` points are on one side always, so only what is weak is looked at.
+    point, frame (K,): which frame sees which point. ``present`` (F,) bool: frames that have a pose. Of two sides the
+    smaller is the group. Frames that share ``least`` points are always on one side, so only weak links are tested.
     """
     home = _sure(point, frame, len(present), least)
     seen = _incidence(point, home[frame], len(present))
@@ -68,13 +68,13 @@ def weakly_tied(
 
 
 def named(group: WeaklyTied, names: tuple[str, ...]) -> str:
-    """A group as people find it: the first and last of its frames by ``names`` (F,), and how many they are."""
+    """A group in words: the first and last of its frames by ``names`` (F,), and their number."""
     first, last = names[group.frames[0]], names[group.frames[-1]]
     return first if len(group.frames) == 1 else f"{first} .. {last} ({len(group.frames)} frames)"
 
 
 def _sure(point: np.ndarray, frame: np.ndarray, frames: int, least: int) -> np.ndarray:
-    """(F,) one number for all frames that links of at least so many points join, directly or as groups."""
+    """(F,) one number for all frames connected by links of at least so many points, directly or as groups."""
     home = np.arange(frames)
     while True:
         seen = _incidence(point, home[frame], frames)

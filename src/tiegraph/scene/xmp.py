@@ -1,11 +1,11 @@
-"""What cameras and programs write into a file's XMP: the rig of a multispectral camera, positions, and EXIF's own tags.
+"""XMP metadata of cameras and programs: the rig of a multispectral camera, positions, and EXIF's own tags.
 
 The rig's tags are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense and
 Sentera, as attributes, as elements or as lists: RigCameraIndex, BandName, RigRelatives and
-RigRelativesReferenceRigCameraIndex; and GPSXYAccuracy, GPSZAccuracy, in metres. DJI's stand in its namespace drone-dji
+RigRelativesReferenceRigCameraIndex; and GPSXYAccuracy, GPSZAccuracy, in metres. DJI's are in its namespace drone-dji
 (DJI, photo file description): GpsLatitude, GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0
 none, 16 single, 34 float, 50 fixed) and the standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres. Adobe's
-programs leave EXIF away in some formats and write its tags as exif:GPSLatitude="35,41.37N" (XMP part 2).
+programs omit EXIF in some formats and write its tags as exif:GPSLatitude="35,41.37N" (XMP part 2).
 """
 
 import re
@@ -34,7 +34,7 @@ class RigTags:
 
 
 class Place(NamedTuple):
-    """Where an image was taken, and the sigmas of that (horizontal, up); NaN = not written."""
+    """Position of an image, and its sigmas (horizontal, up); NaN = not written."""
 
     lat_deg: float = NAN
     lon_deg: float = NAN
@@ -56,7 +56,7 @@ def read_rig_tags(text: str) -> RigTags:
 
 
 def read_place(text: str) -> tuple[Place, bool]:
-    """The position in the XMP of an image, and whether a receiver with RTK that had a fix wrote it."""
+    """The position in the XMP of an image, and whether a receiver with an RTK fix wrote it."""
     rtk = number(xmp_value(text, "RtkFlag", _DJI)) > 0
     dji = {t: number(xmp_value(text, t, _DJI)) for t in ("GpsLatitude", "GpsLongitude", "GpsLongtitude")}
     lat, lon = dji["GpsLatitude"], dji["GpsLongitude"]
@@ -84,7 +84,7 @@ def _degrees(text: str) -> float:
 
 
 def ratio(text: str) -> float:
-    """The number that "88/10" or "8.8" is, NaN if it is none."""
+    """The number in "88/10" or "8.8", NaN if it is none."""
     try:
         return float(Fraction(text))
     except (ValueError, ZeroDivisionError):
@@ -108,7 +108,7 @@ def xmp_text(image: Any) -> str:
 
 
 def xmp_value(text: str, tag: str, space: str = "Camera") -> str:
-    """Text of a tag written as an attribute, as an element or as a list, its items parted by blanks."""
+    """Text of a tag written as an attribute, as an element or as a list, its items separated by blanks."""
     attribute = re.search(rf'\b{space}:{tag}\s*=\s*["\']([^"\']*)["\']', text)
     if attribute:
         return attribute[1].strip()

@@ -1,8 +1,8 @@
-"""The words of a report in the reader's language: every text of the page is English in the code, and translated here.
+"""The texts of a report in the reader's language: every text of the page is English in the code, and translated here.
 
-``ja.toml`` is the one table of Japanese: ``[page]`` what this package writes, ``[said]`` what other stages write into
-receipts and ``metrics.json``, where ``#`` stands for a number and ``{}`` for a part that is looked up in its turn. What
-neither holds stays English: names, remarks and warnings of receipts.
+``ja.toml`` is the one table of Japanese: ``[page]`` texts of this package, ``[said]`` texts that other stages write
+into receipts and ``metrics.json``, where ``#`` is a number and ``{}`` a part that is looked up in its turn. Other
+texts stay English: names, remarks and warnings of receipts.
 """
 
 import re
@@ -64,7 +64,7 @@ def capital(text: str) -> str:
 
 
 def said(text: str) -> str:
-    """A text of another stage in the current language; itself where the table does not know it."""
+    """A text of another stage in the current language; unchanged if the table does not have it."""
     for pattern, form in _patterns(_CURRENT.get()):
         match = pattern.fullmatch(text)
         if match:
@@ -74,7 +74,7 @@ def said(text: str) -> str:
 
 @cache
 def _patterns(name: str) -> list[tuple[re.Pattern[str], str]]:
-    """The table ``said`` as patterns, the longest text first: what says more of a text decides."""
+    """The table ``said`` as patterns, the longest text first: the most specific one decides."""
     rows = sorted(table(name)["said"].items(), key=lambda row: -len(row[0].replace("{}", "")))
     forms = (
         (re.escape(english).replace(r"\#", r"(\d[\d.,]*)").replace(r"\{\}", "(.+?)"), form) for english, form in rows

@@ -1,1 +1,1 @@
-"""What is known of places and times before any model: positions, poses, trajectories, frame times, start models."""
+"""Prior places and times: positions, poses, trajectories, frame times, start models."""

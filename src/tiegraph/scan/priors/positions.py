@@ -1,4 +1,4 @@
-"""Where each frame was taken, by GNSS rows or EXIF: positions in the world, with what is doubtful about them said."""
+"""Position of each frame from GNSS rows or EXIF: positions in the world, with notes on doubtful ones."""
 
 import re
 from dataclasses import dataclass, field, replace
@@ -33,7 +33,7 @@ _NAMED = 3  # frames without a position that are named
 
 @dataclass(frozen=True)
 class Frames:
-    """What the priors need to know of the frames found."""
+    """The data of the frames that the priors need."""
 
     rows: tuple[FrameRow, ...]
     sequences: tuple[str, ...]
@@ -50,7 +50,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class Priors:
-    """Columns of the Scene that say when and where."""
+    """Columns of the Scene for time and place."""
 
     time_s: np.ndarray
     world_from_rig: np.ndarray
@@ -112,7 +112,7 @@ def from_gnss(
     if np.any(cut[there] > sigma[there]):
         notes.append(
             f"{path.name}: the frames' times have whole seconds, in which the receiver moved {np.nanmax(cut):.1f} m "
-            "(root mean square) and more; that is in their sigmas: --times with fractions of seconds would do better"
+            "(root mean square) and more; their sigmas include that: --times with fractions of seconds is better"
         )
     sigma = np.hypot(sigma, cut)
     pose = rigid(_rotations(frames, heading), position)
@@ -121,7 +121,7 @@ def from_gnss(
 
 
 def _without(frames: Frames, rows: np.ndarray, gnss: Gnss | None, time_s: np.ndarray) -> str:
-    """The first frames of (F,) rows without a position by name, and how far the file's rows are from each in time."""
+    """The first frames of (F,) rows without a position by name, and their distance in time from the file's rows."""
     lacking = np.flatnonzero(rows).tolist()
     said = []
     for k in lacking[:_NAMED]:
@@ -131,7 +131,7 @@ def _without(frames: Frames, rows: np.ndarray, gnss: Gnss | None, time_s: np.nda
 
 
 def _away(gnss: Gnss, time_s: float) -> str:
-    """How far a time is from the rows of a file in time order."""
+    """Distance of a time from the rows of a file in time order."""
     if not np.isfinite(time_s):
         return "it has no time"
     after = int(np.searchsorted(gnss.time_s, time_s))
@@ -171,7 +171,7 @@ def _overlap(gnss: Gnss, time_s: np.ndarray, settings: ScanSettings) -> np.ndarr
 
 
 def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
-    """A hint if the times of the file lie about those of the frames once they are taken for another unit; else ""."""
+    """A hint if the times of the file match those of the frames in another unit; else ""."""
     if gnss.names:
         return ""
     first, last = np.nanmin(time_s), np.nanmax(time_s)
@@ -189,7 +189,7 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
     there = gnss.time_s[0] - 3600 * hours <= last and gnss.time_s[-1] - 3600 * hours >= first
     if there and 0 < abs(hours) <= 14:  # the farthest time zone from UTC
         remedy = f" (videos: --scan.video-offset {3600 * hours:g})"
-        return f"; {hours:+g} h would bring the frames' there: were the cameras' clocks in local time?{remedy}"
+        return f"; {hours:+g} h would match the frames' times: were the cameras' clocks in local time?{remedy}"
     return ""
 
 
@@ -225,7 +225,7 @@ def _by_number(gnss: Gnss, frames: Frames) -> Gnss:
         if len(found.get(name, ())) > 1:
             one, other = list(found[name].values())[:2]
             raise InputError(
-                f"{gnss.path}, line {line}: image {name[1:]} may be {one} or {other}: give the images of one flight, "
+                f"{gnss.path}, line {line}: image {name[1:]} can be {one} or {other}: give the images of one flight, "
                 "or a table with columns image, lat, lon, height"
             )
     return replace(gnss, names=tuple(next(iter(found.get(n, {0: n}).values())) for n in gnss.names))
@@ -271,18 +271,18 @@ def _rotations(frames: Frames, heading_deg: np.ndarray) -> np.ndarray:
 
 
 def body_of(spec: RigSpec) -> tuple[np.ndarray, str]:
-    """rig_from_body (4, 4) and the axes of a rig's body; those of its first camera where the rig names no body."""
+    """rig_from_body (4, 4) and the axes of a rig's body; those of its first camera if the rig names no body."""
     pose = spec.rig_from_body()
     return (np.eye(4), "camera") if pose is None else (pose, spec.axes)
 
 
-_NEAR_NOUGHT_M = 5.0  # of a height: where another is so near to 0 metres, 0 may be one
+_NEAR_NOUGHT_M = 5.0  # of a height: if another is so near to 0 metres, 0 can be a height
 
 
 def from_exif(
     priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str], tuning: PositionsTuning
 ) -> Priors:
-    """Priors with the positions that cameras wrote into their files; those far from all others are not used.
+    """Priors with the positions that cameras wrote into their files; outliers far from all others are not used.
 
     Raises InputError if the CRS of the settings does not fit the positions.
     """
@@ -292,7 +292,7 @@ def from_exif(
     there = np.array([bool(f) for f in found])
     if there.sum() < 2:
         if there.any():
-            notes.append(f"EXIF: 1 of {len(there)} frames has a position, which places nothing: not used")
+            notes.append(f"EXIF: 1 of {len(there)} frames has a position, which is not enough: not used")
         return priors
     places = np.full((len(found), 3), np.nan)
     sigma = np.full((len(found), 3), np.nan)
@@ -301,7 +301,7 @@ def from_exif(
         flat, up = given[found[k][0]]
         flat = flat if np.isfinite(flat) else settings.gnss_sigma_m
         sigma[k] = flat, flat, up if np.isfinite(up) else tuning.gnss.vertical * flat
-    nought = there & (places[:, 2] == 0)  # what some cameras write while they have no height
+    nought = there & (places[:, 2] == 0)  # some cameras write it while they have no height
     others = np.abs(places[there & ~nought, 2])
     if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > _NEAR_NOUGHT_M:
         places[nought, 2] = np.nan
@@ -316,8 +316,8 @@ def from_exif(
     places_of = {(frames.rows[k].rig, *places[k, :2]) for k in np.flatnonzero(there)}
     if len(places_of) < there.sum():
         notes.append(
-            f"EXIF: {there.sum() - len(places_of)} of {there.sum()} positions are those of another frame to the digit: "
-            "taken from one place, or the receiver had no new one"
+            f"EXIF: {there.sum() - len(places_of)} of {there.sum()} positions are identical to those of other "
+            "frames: taken from one place, or without a new fix of the receiver"
         )
     origin = _origin(places[there], settings, notes)
     pose = np.full((len(found), 4, 4), np.nan)
@@ -326,20 +326,20 @@ def from_exif(
     lacking = "" if there.all() else f" (none in {_without(frames, ~there, None, priors.time_s)})"
     notes.append(
         f"positions of {there.sum()} of {len(there)} frames from EXIF{lacking}; its heights are usually above sea "
-        "level and are taken as they are"
+        "level and are used unchanged"
     )
     return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="exif")
 
 
 def _say_doubts(frames: Frames, notes: list[str]) -> None:
-    """One note for the images whose EXIF positions are left out, and one for those that are used though doubtful."""
+    """One note on images whose EXIF positions are left out, and one on those that are used though doubtful."""
     for used in (False, True):
         rows = [k for k, e in enumerate(frames.exif) if e.doubt and np.isfinite(e.lat_deg) == used]
         if rows:
-            what = "used all the same" if used else "not used"
+            what = "used nevertheless" if used else "not used"
             notes.append(
                 f"EXIF of {frames.names[rows[0]]}: {frames.exif[rows[0]].doubt}: {what}, as in {len(rows)} of "
-                f"{len(frames.exif)} images; mend it in the files (exiftool), or give --gnss with a column image"
+                f"{len(frames.exif)} images; correct the files (exiftool), or give --gnss with a column image"
             )
 
 
@@ -352,7 +352,7 @@ def _exif_positions(
     if len(none):
         notes.append(
             f"EXIF of {frames.names[none[0]]}: height {llh[none[0], 2]:g} m, {beyond(heights_m)}; "
-            f"{len(none)} positions are taken without their heights"
+            f"{len(none)} positions are used without their heights"
         )
     llh[none, 2] = np.nan
     known = np.flatnonzero(np.isfinite(llh[:, 0]))

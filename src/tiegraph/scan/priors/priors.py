@@ -1,4 +1,4 @@
-"""Where each frame was taken, before any image is matched: GNSS, EXIF and trajectories brought into one world."""
+"""Priors of the frames' positions: GNSS, EXIF and trajectories in one world."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from tiegraph.scene.gnss.fixes import step_of
 from tiegraph.scene.posefile import Trajectory
 from tiegraph.scene.times import laid_on
 
-_SCALE_ROUNDS = 10  # it converges linearly, by the ratio of the lever arm to the length of the track
+_SCALE_ROUNDS = 10  # convergence is linear, by the ratio of the lever arm to the length of the trajectory
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class _Paths:
     poses: np.ndarray  # (F, 4, 4) odometry_from_rig
     group: np.ndarray  # (F,) i4: frames of one number share an odometry frame; -1 = no pose
     own_worlds: bool
-    started: bool = False  # by a start model
+    started: bool = False  # from a start model
 
 
 @dataclass(frozen=True)
 class Followed:
-    """What odometry found of the images of a survey: poses (4, 4) of their rigs, each pass in a world of its own, by
-    the name of the image; whether lengths are metres."""
+    """The odometry of a survey's images: poses (4, 4) of their rigs, each pass in its own world, by the name of the
+    image; whether lengths are metres."""
 
     world_from_rig: Mapping[str, np.ndarray]
     metric: bool
@@ -55,13 +55,13 @@ def estimate_priors(
     settings: ScanSettings,
     tuning: Tuning,
 ) -> Priors:
-    """Times, positions and poses of the frames from what the user has; ``trajectory`` may be a start model, or what
-    odometry found.
+    """Times, positions and poses of the frames from the user's files; ``trajectory`` may be a start model, or
+    odometry.
 
     Position priors from GNSS are those of the antenna (``Rig.antenna_m`` is applied when the model is georeferenced).
-    With a trajectory too, each of its worlds is laid on the GNSS positions level, so that the frames get rotations and
-    the gaps get positions (those with NaN sigma: for choosing pairs, not for georeferencing). Raises InputError for
-    files and a CRS that cannot be meant; what is only doubtful is in the notes.
+    With a trajectory too, each of its worlds is fitted to the GNSS positions, kept level, so that the frames get
+    rotations and the gaps get positions (those with NaN sigma: for choosing pairs, not for georeferencing). Raises
+    InputError for impossible files or an impossible CRS; doubts are in the notes.
     """
     notes: list[str] = []
     if settings.crs.lower() not in ("auto", ENU.lower()):
@@ -90,7 +90,7 @@ def estimate_priors(
     if priors.origin is None and settings.crs.lower() != "auto":
         notes.append(
             f"--scan.crs {settings.crs}: nothing here has positions (no GNSS file, no EXIF): only control points "
-            "(--gcp) can place the survey in it"
+            "(--gcp) can georeference the survey in it"
         )
     if paths is not None:
         priors = _with_paths(priors, frames, paths, notes, tuning.trajectory)
@@ -111,7 +111,7 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
     out = _unless_one(exif_times(frames.rows, exif), "EXIF", notes)
     if np.isfinite(out).all():
         if not all(e.time_utc for e in exif):
-            notes.append("times of the frames from EXIF, in the camera's own clock (no time zone written)")
+            notes.append("times of the frames from EXIF, in the camera's own clock (without a time zone)")
         return out
     if np.isfinite(out).any():
         notes.append(f"{np.isnan(out).sum()} of {len(out)} frames have no EXIF time")
@@ -122,7 +122,7 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
         return named
     of, one = frames.sequence(), len(frames.sequences) == 1
     for sequence, (path, trajectory) in files.items():
-        # One file of all fits in order only if there is one order of all frames.
+        # One file for all fits in order only if all frames have one order.
         rows = np.flatnonzero(of == sequence) if sequence >= 0 or not (one and (of >= 0).all()) else np.arange(len(of))
         if len(rows) == len(trajectory) and np.isfinite(trajectory.time_s).all():
             out[rows] = trajectory.time_s
@@ -131,17 +131,17 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
 
 
 def _in_utc(exif: Sequence[Exif], notes: list[str]) -> Sequence[Exif]:
-    """EXIF with the times of cameras without a zone in UTC, where the receiver's own times tell one zone for all."""
+    """EXIF with the times of cameras without a zone in UTC, if the receiver's times give one zone for all."""
     zones = {e.zone_s for e in exif if np.isfinite(e.zone_s)}
     if len(zones) != 1:
         return exif
     (ahead,) = zones
-    notes.append(f"the cameras' clock is UTC{ahead / 3600:+g} h by the receiver's time in EXIF: taken off")
+    notes.append(f"the cameras' clock is UTC{ahead / 3600:+g} h by the receiver's time in EXIF: subtracted")
     return [e if e.time_utc else replace(e, time_s=e.time_s - ahead, time_utc=True) for e in exif]
 
 
 def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
-    """Times (F,), or NaN for all with a note if several frames have one and the same."""
+    """Times (F,), or NaN for all with a note if several frames have the same time."""
     known = time_s[np.isfinite(time_s)]
     if len(known) < 2 or np.ptp(known) > 0:
         return time_s
@@ -165,7 +165,7 @@ def _paths(
         return None
     by_image = next(((path, t) for path, t in files.values() if t.names), None)
     if by_image is not None:
-        notes.append(f"{by_image[0].name}: its unit is taken for metres; give it by --start if nothing says that it is")
+        notes.append(f"{by_image[0].name}: its unit is taken as metres; give it by --start if that is not certain")
         return _by_image(by_image[1], by_image[0], frames, notes, tuning)
     own_worlds = len(files) > 1 and same_start([t for _, t in files.values()])
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
@@ -181,7 +181,7 @@ def _paths(
     without = [name for k, name in enumerate(frames.sequences) if -1 not in files and k not in files]
     if without:
         used = ", ".join(path.name for path, _ in files.values())
-        notes.append(f"no trajectory of pass {', '.join(without)}: none of the other files than {used} has its name")
+        notes.append(f"no trajectory of pass {', '.join(without)}: no file besides {used} has its name")
     for k, row in enumerate(frames.rows):  # the file's poses are those of the body
         poses[k] = poses[k] @ np.linalg.inv(body_of(frames.specs[row.rig])[0])
     group[np.isnan(poses[:, 0, 0])] = -1
@@ -191,16 +191,16 @@ def _paths(
         if named
         else (
             f"the camera {frames.rigs[0].sensors[0].name!r} (x right, y down, z forward); if they are those of another "
-            "body, say so by axes in a rig.toml"
+            "body, give its axes in a rig.toml"
         )
     )
-    notes.append(f"the trajectory is taken as poses of {what}")
+    notes.append(f"the trajectory is read as poses of {what}")
     if len(files) > 1:
-        each = "each pass in a world of its own (they all start at the same pose)" if own_worlds else "all in one world"
+        each = "each pass in its own world (they all start at the same pose)" if own_worlds else "all in one world"
         notes.append(f"{len(files)} trajectory files, {each}")
     free = [path.name for path, t in files.values() if not t.metric]
     if free:
-        notes.append(f"{', '.join(free)}: no scale, as it says: its poses choose pairs; it holds and places nothing")
+        notes.append(f"{', '.join(free)}: without scale by its own statement: its poses are only used to choose pairs")
     return _Paths(poses, group, own_worlds, started=bool(free))
 
 
@@ -217,7 +217,7 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
     named = f"{start.path.parent.name}/{start.path.name}"  # sparse/0
     notes.append(
         f"start model of {start.program}, {named}{without}: its poses choose pairs and are tested against the "
-        "images; its unit and its place are not taken over"
+        "images; its unit and its georeference are not used"
     )
     notes += start.notes
     return _by_image(of_images(start.poses), start.path, frames, notes, tuning, started=True)
@@ -249,7 +249,7 @@ def _frame_poses(
         return trajectory.poses
     remedy = "give --times with a table image,time" if timed else "give one line a frame, or a TUM file and --times"
     raise InputError(
-        f"{path}: {len(trajectory)} poses for {len(rows)} frames, and nothing says which belongs to which: {remedy}"
+        f"{path}: {len(trajectory)} poses for {len(rows)} frames, and no times or names assign them: {remedy}"
     )
 
 
@@ -261,7 +261,7 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
         return replace(priors, world_from_rig=pose, prior=prior, started=paths.started)
     pose, sigma = priors.world_from_rig.copy(), priors.position_sigma_m
     if paths.started and np.isfinite(pose[:, :3, :3]).any():
-        notes.append("start model: not laid on the positions, which come with headings of their own")
+        notes.append("start model: not fitted to the positions, which have headings of their own")
         return priors
     for group in np.unique(paths.group[paths.group >= 0]):
         rows = np.flatnonzero(paths.group == group)
@@ -269,12 +269,12 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
         where = frames.sequences[group] if paths.own_worlds else "all passes"
         if laid is None:
             few = f"fewer than {tuning.least_positions}, or too close together"
-            notes.append(f"trajectory of {where}: not laid on the positions ({few})")
+            notes.append(f"trajectory of {where}: not fitted to the positions ({few})")
             continue
         measured = np.isfinite(pose[rows, 0, 3])
         pose[rows] = rigid(laid.rotation, np.where(measured[:, None], pose[rows, :3, 3], laid.antenna))
         notes.append(
-            f"trajectory of {where} laid {laid.how} on {measured.sum()} positions: scale {laid.scale:.4f}, "
+            f"trajectory of {where} fitted {laid.how} to {measured.sum()} positions: scale {laid.scale:.4f}, "
             f"rms {laid.rms_m:.2f} m; {(~measured).sum()} frames without one take it from the trajectory, for choosing "
             "pairs only"
         )
@@ -295,8 +295,8 @@ class _Laid:
 def _laid(
     paths: _Paths, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
 ) -> _Laid | None:
-    """Poses of some frames in the world; a start model freely where its positions tell its tilt, else level: the
-    cameras of a drone have no common direction that is up."""
+    """Poses of some frames in the world; a start model by a similarity if its positions determine its tilt, else level:
+    the cameras of a drone have no common up direction."""
     poses, target, sigma = paths.poses[rows], target[rows], sigma[rows]
     good = np.isfinite(target[:, 0])
     if paths.started and good.sum() > tuning.least_positions:
@@ -314,10 +314,10 @@ def _laid(
 def _lay_on_gnss(
     poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
 ) -> _Laid | None:
-    """Turn about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions."""
+    """Rotation about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions."""
     rig, spec = frames.rigs[frames.rows[rows[0]].rig], frames.specs[frames.rows[rows[0]].rig]
     rig_from_body, axes = body_of(spec)
-    body = poses @ rig_from_body  # odometry that is not metric scales the body's path, not the rig on the body
+    body = poses @ rig_from_body  # odometry that is not metric scales the body's path, but not the rig on the body
     up = np.mean(body[:, :3, :3], axis=0) @ -AXES[axes][1]
     level = _turn_to_z(up / np.linalg.norm(up))
     arm = np.zeros(3)
@@ -330,7 +330,7 @@ def _lay_on_gnss(
     if np.ptp(target[good, :2], axis=0).max() < tuning.least_extent_sigmas * np.median(sigma[good, 0]):
         return None
     scale = 1.0
-    for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry need not be
+    for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry perhaps not
         fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
         scale = fit.scale
     return _Laid(
@@ -350,7 +350,8 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
 
 
 def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[Similarity, float]:
-    """Turn about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the rms."""
+    """Rotation about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the
+    rms."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
     for _ in range(20):  # of the reweighted least squares in each of them

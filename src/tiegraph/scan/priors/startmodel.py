@@ -1,7 +1,7 @@
-"""Start models: what COLMAP, OpenSfM (ODM), nerfstudio and Metashape made of images, to go on from (``--start``).
+"""Start models: results of COLMAP, OpenSfM (ODM), nerfstudio and Metashape for these images (``--start``).
 
-What is read of each: the poses of images and their cameras, both by image name. Poses are world_from_camera with
-cameras x right, y down, z forward; their world and its unit may be any. nerfstudio's conventions stand in
+Of each, the poses of images and their cameras are read, both by image name. Poses are world_from_camera with
+cameras x right, y down, z forward; their world and its unit may be any. nerfstudio's conventions are in
 ``scene.namedposes``.
 
 **OpenSfM** (``reconstruction.json``;
@@ -11,8 +11,8 @@ cameras x right, y down, z forward; their world and its unit may be any. nerfstu
 
 **Metashape** (Export Cameras, XML; manual, "Camera data"): ``transform`` of a camera is world_from_camera in the
 coordinates of its chunk, 4 x 4 row by row, the camera x right, y down, z forward. The ``transform`` of chunk or
-component (rotation, translation, scale) leads on to the Earth and is not needed: only poses of one component are taken,
-whose world may be any. Cameras are called by labels, which are file names, mostly without their ending.
+component (rotation, translation, scale) leads on to the Earth and is not needed: only poses of one component are used,
+whose world may be any. Cameras have labels, which are file names, mostly without extension.
 """
 
 import math
@@ -47,8 +47,8 @@ from tiegraph.scene.textfile import Element, parse_xml, whole_file
 
 @dataclass(frozen=True)
 class StartModel:
-    """A model to go on from: where it was read and whose it is, poses (4, 4) and cameras by image name, the number of
-    its images without a pose, and what to say of it."""
+    """A start model: its file and program, poses (4, 4) and cameras by image name, the number of
+    its images without a pose, and notes."""
 
     path: Path
     poses: dict[str, np.ndarray]
@@ -58,12 +58,12 @@ class StartModel:
     notes: Sequence[str] = ()
 
     def cameras_of(self) -> str:
-        """Whose its cameras are, in words: those that a bag has come without poses."""
+        """The source of its cameras, in words: cameras of a bag come without poses."""
         return "the start model" if self.poses else self.program
 
 
 def read_start(path: Path) -> StartModel:
-    """The model that ``--start`` names. Raises InputError for what is none, or is damaged."""
+    """The model of ``--start``. Raises InputError for other or damaged files."""
     program, place = find_start(Path(path))
     found = _READERS[program](place)
     check_poses(found.poses, place)
@@ -122,7 +122,7 @@ _PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
 
 
 def _nerf_camera(row: dict[str, Any], where: str) -> FoundCamera | None:
-    """The camera of one frame, as COLMAP counts pixels; None where nothing is said of it. Raises InputError."""
+    """The camera of one frame in COLMAP's pixel convention; None without values. Raises InputError."""
     wrong = next((k for k in (*_LENS, "k2", "k3", "k4", "p1", "p2") if k in row and not is_number(row[k])), None)
     if wrong is not None:
         raise InputError(f"{where}: {wrong} = {row[wrong]!r:.99}: expected a finite number")
@@ -144,11 +144,11 @@ def _nerf_camera(row: dict[str, Any], where: str) -> FoundCamera | None:
 
 
 def must_be_whole(start: StartModel, whole: bool) -> None:
-    """Raises InputError where views of the images are mapped: a model knows whole ones by their names."""
+    """Raises InputError if views of the images are mapped: a start model has whole images by their names."""
     if not whole:
         raise InputError(
             f"--start {start.path}: a model of whole images, of which views are mapped here (panoramas, fisheye "
-            "lenses): leave it out, or take fisheye images as they are by --scan.fisheye whole"
+            "lenses): omit it, or use whole fisheye images by --scan.fisheye whole"
         )
 
 
@@ -237,7 +237,7 @@ def _transform(camera: Element, where: str) -> np.ndarray:
 
 
 def _sensors(chunk: Element, path: Path) -> tuple[dict[str, FoundCamera], list[str]]:
-    """The calibrations of a chunk by the number of their sensor, and what could not be read of them."""
+    """The calibrations of a chunk by the number of their sensor, and notes on unreadable ones."""
     out, said = {}, []
     for sensor in chunk.all("sensor"):
         try:

@@ -1,4 +1,4 @@
-"""When each frame was taken: from a table, from EXIF, or from numbers in the names that are times."""
+"""Time of each frame: from a table, from EXIF, or from numbers in the names."""
 
 import re
 from collections.abc import Sequence
@@ -39,8 +39,8 @@ def read_times(
     """(F,) seconds from a table with the columns time and image, or time and frame and, with several passes, pass.
 
     An image is given by its name below the folder, or by its file name if no other has it. NaN for frames not listed;
-    of several images of a frame the median counts. Notes say what is doubtful. Raises InputError for missing columns,
-    times that are none, a frame or image with two times, one time for all frames, and when no row fits a frame.
+    of several images of a frame the median counts. Notes list doubts. Raises InputError for missing columns,
+    invalid times, a frame or image with two times, one time for all frames, and if no row fits a frame.
     """
     table = read_table(path, "times file", "image,time", times_by_content)
     time = times_of(table)
@@ -88,18 +88,18 @@ def read_times(
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
         raise InputError(
             f"{path}, line {table.line(0)}: all {len(rows)} frames have the time {np.nanmax(out):g} s: write the time "
-            "of each, or leave --times out"
+            "of each, or omit --times"
         )
     return out, notes
 
 
 def _passes(table: Table, sequence: int | None, sequences: Sequence[str], notes: list[str]) -> list[str]:
-    """Pass of each row; rows that name none are of the only pass."""
+    """Pass of each row; rows without one belong to the only pass."""
     only = sequences[0] if len(sequences) == 1 else ""
     named = sorted({table.cell(k, sequence) for k in range(len(table.rows))} - {""})
     if only == LONE_PASS and len(named) == 1 and named[0] != only:
         notes.append(
-            f"{table.path.name}, line {table.line(0)}: pass {named[0]!r} is taken for the only one here, whose "
+            f"{table.path.name}, line {table.line(0)}: pass {named[0]!r} is taken as the only pass here, whose "
             "folders have no name for it"
         )
         return [only] * len(table.rows)
@@ -114,13 +114,13 @@ def _refuse_two_times(table: Table, keys: Sequence[tuple[str, ...]], seconds: np
         if seconds[other] != seconds[k]:
             raise InputError(
                 f"{table.path}, line {table.line(k)}: {'/'.join(key)} has the time {seconds[k]:.10g} s, but "
-                f"{seconds[other]:.10g} s in line {table.line(other)}: leave the right one"
+                f"{seconds[other]:.10g} s in line {table.line(other)}: keep the right one"
             )
         if other != k:
             again.append(k)
     if again:
         notes.append(
-            f"{table.path.name}, line {table.line(again[0])}: {'/'.join(keys[again[0]])} stands there twice, with one "
+            f"{table.path.name}, line {table.line(again[0])}: {'/'.join(keys[again[0]])} is listed twice, with one "
             f"time, as do {len(again)} rows in all"
         )
 
@@ -138,7 +138,7 @@ def _say_unknown(
 
 
 def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, notes: list[str], most_s: float) -> None:
-    """Says where images of one frame were taken more than ``most_s`` apart."""
+    """Notes on images of one frame that were taken more than ``most_s`` apart."""
     wide = [mine for mine in rows.values() if np.ptp(seconds[mine]) > most_s]
     if wide:
         mine = max(wide, key=lambda m: float(np.ptp(seconds[m])))
@@ -151,7 +151,7 @@ def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, n
 def _say_odd(
     table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow], apart_s: float
 ) -> list[str]:
-    """What to say of frames of one pass with the same time, and of those far from the others in time."""
+    """Notes on frames of one pass with the same time, and on those far from the others in time."""
     notes = []
     for sequence in sorted({frames[k].sequence for k in row} - {-1}):
         mine = np.array(sorted((k for k in row if frames[k].sequence == sequence), key=lambda k: time_s[k]))
@@ -160,7 +160,7 @@ def _say_odd(
             a, b = mine[twins[0]], mine[twins[0] + 1]
             notes.append(
                 f"{table.path.name}, {table.some_lines([row[a], row[b]])}: two frames of one pass have the time "
-                f"{time_s[a]:.10g} s, as {len(twins)} do in it; write the time of each"
+                f"{time_s[a]:.10g} s, as have {len(twins)} in it; write the time of each"
             )
         far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), apart_s))
         if len(far):
@@ -168,18 +168,18 @@ def _say_odd(
             notes.append(
                 f"{table.path.name}, line {table.line(row[odd])}: time {time_s[odd]:.10g} s is far from the "
                 f"{np.median(time_s[mine]):.10g} s of its pass, as in {len(far)} of {len(mine)} frames; it is used: "
-                "correct it, or make a pass of its own of them"
+                "correct it, or make these frames a pass of their own"
             )
     return notes
 
 
 def absent(name: str, names: Sequence[str]) -> str:
-    """Why an image's name says nothing here, and what helps; ``names`` are those of the images."""
+    """Why an image's name is not found, and a remedy; ``names`` are those of the images."""
     file = PurePosixPath(plain_name(name)).name
     twins = [n for n in names if file in (PurePosixPath(n).name, PurePosixPath(n).stem)]
     if len(twins) > 1 and "/" not in plain_name(name):
-        return f"several images are called so: write {twins[0]} or {twins[1]}"
-    return f"names are relative to the image folder, as {twins[0] if twins else names[0]}"
+        return f"several images have this name: write {twins[0]} or {twins[1]}"
+    return f"names are relative to the image folder, like {twins[0] if twins else names[0]}"
 
 
 def frames_of_names(given: Sequence[str], frames: Sequence[FrameRow], names: Sequence[str]) -> tuple[int | None, ...]:
@@ -211,7 +211,7 @@ def name_times(frames: Sequence[FrameRow], names: Sequence[str]) -> np.ndarray:
 
 
 def time_in_name(stem: str) -> float:
-    """The time that a file's stem is, seconds since 1970; NaN if it is none."""
+    """The time that a file's stem gives, seconds since 1970; NaN if it is none."""
     match = _UNIX_NAME.search(stem)
     if match:
         seconds = float(in_seconds(np.array([float(match[1].replace("_", "."))]))[0])

@@ -1,4 +1,4 @@
-"""Trajectories of visual odometry, SLAM or an INS: which file is of which pass, and reading them; and poses of
+"""Trajectories of visual odometry, SLAM or an INS: the file of each pass, and reading them; and poses of
 images, by their names, as poses of the frames' rigs.
 """
 
@@ -24,7 +24,7 @@ from tiegraph.text import composed
 
 _PATH = "nav_msgs/Path"
 KINDS = ("nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", _PATH)
-_SAME_M, _SAME_DEG = 1e-3, 0.1  # between poses that are one
+_SAME_M, _SAME_DEG = 1e-3, 0.1  # poses within these are equal
 _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
 
 
@@ -33,7 +33,7 @@ def read_trajectory(path: Path) -> Trajectory:
     bag, or those of the images of a COLMAP model or a transforms.json.
 
     Sorted by time; rows with the time of another row are left out. Raises InputError with the line number for a wrong
-    number of columns, text, and values that are none or make no sense.
+    number of columns, text, and impossible values.
     """
     if has_named_poses(path):
         return of_images(read_named_poses(path))
@@ -54,8 +54,8 @@ def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:
     """Trajectory file of each pass: ``path`` is one file for all (key -1), or a folder with one a pass. A COLMAP model,
     a folder with a transforms.json and a ROS bag are one for all, too.
 
-    In a folder the file's name contains the name of the pass: vo_up.tum, vo_down.tum. Raises InputError if the path is
-    not there, or if no file of the folder fits a pass.
+    In a folder the file's name contains the name of the pass: vo_up.tum, vo_down.tum. Raises InputError if the path
+    does not exist, or if no file of the folder fits a pass.
     """
     path = Path(path)
     if (path.exists() and not path.is_dir()) or is_bag(path) or has_named_poses(path):
@@ -72,10 +72,10 @@ def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:
         there = ", ".join(f.name for f in files) or "none ends in .tum, .txt, .csv"
         inside = next((f for f in every if has_named_poses(f)), None)
         if inside is not None and not files:
-            raise InputError(f"--trajectory {path}: no poses in it; {inside} has some: give that")
+            raise InputError(f"--trajectory {path}: no poses in it; {inside} has some: give that path")
         raise InputError(
             f"--trajectory {path}: none of its files ({there}) "
-            f"has the name of a pass in its own ({', '.join(sequences) or 'there is no pass'}), as in vo_up.tum"
+            f"contains the name of a pass ({', '.join(sequences) or 'there is no pass'}), as in vo_up.tum"
         )
     return found
 
@@ -92,7 +92,7 @@ def _for_pass(name: str, files: Sequence[Path]) -> Path | None:
 
 
 def same_start(trajectories: Sequence[Trajectory]) -> bool:
-    """Whether trajectories all begin at the same pose: each then has a world of its own, as odometry starts at zero."""
+    """Whether all trajectories begin at the same pose: each then has its own world, as odometry starts at zero."""
     first = [t.poses[0] for t in trajectories]
     return all(
         np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < _SAME_M and angle_deg(p[:3, :3], first[0][:3, :3]) < _SAME_DEG
@@ -101,10 +101,10 @@ def same_start(trajectories: Sequence[Trajectory]) -> bool:
 
 
 def read_bag_poses(path: Path) -> Trajectory:
-    """The poses of a bag's only topic of such, or of the one behind the path (``bags.split_topics``).
+    """The poses of a bag's only topic of poses, or of the topic behind the path (``bags.split_topics``).
 
-    A path that is sent again and again is read as it was last. Raises InputError for several topics, none, a damaged
-    bag, and what ``posefile.read_poses`` raises of values; its lines are the numbers of the messages.
+    Of a path that is sent repeatedly the last message is read. Raises InputError for several topics, none, a damaged
+    bag, and wrong values as ``posefile.read_poses`` does; its lines are the numbers of the messages.
     """
     bag_path, asked = split_topics(path)
     with open_bag(bag_path) as bag:
@@ -141,9 +141,9 @@ def poses_by_image(
 ) -> np.ndarray:
     """world_from_rig (F, 4, 4) of the frames by the poses of their images; NaN where none has one.
 
-    Of several images of a frame the rig's reference camera counts, else the first whose place on the rig is known. A
-    world that is not ``metric`` is stretched to the lengths of the rigs, where frames with several images tell. What is
-    not used is in the notes. Raises InputError if no name is that of an image here, or a name may be of several.
+    Of several images of a frame the rig's reference camera counts, else the first with a known pose in the rig. A
+    world that is not ``metric`` is scaled to the baselines of the rigs, if there are frames with several images. Poses
+    that are not used are in the notes. Raises InputError if no name is that of an image here, or one is ambiguous.
     """
     found = images_by_name(trajectory.names, path, frames.names)
     pose_of = {k: trajectory.poses[row] for k, row in found.items()}
@@ -166,7 +166,7 @@ def poses_by_image(
                 break
     missing = int(np.isnan(out[:, 0, 0]).sum())
     lacking = f"; {missing} of {len(out)} frames have none" if missing else ""
-    notes.append(f"{called(path)}: the trajectory is taken as poses of {len(pose_of)} images by their names{lacking}")
+    notes.append(f"{called(path)}: the trajectory is read as poses of {len(pose_of)} images by their names{lacking}")
     return out
 
 
@@ -177,7 +177,7 @@ def _on_rig(frames: Frames, frame: int, image: int) -> np.ndarray | None:
 
 
 def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames, least: int) -> float | None:
-    """Size of a world's unit by the rigs' baselines between images of one frame; None with fewer than ``least``."""
+    """Length of a world's unit by the rigs' baselines between images of one frame; None with fewer than ``least``."""
     ratios = []
     for k, row in enumerate(frames.rows):
         known = [(i, on_rig) for i in row.images if i in pose_of and (on_rig := _on_rig(frames, k, i)) is not None]
@@ -190,17 +190,17 @@ def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames, least: int)
 
 
 def images_by_name(given: Sequence[str], path: Path, names: Sequence[str]) -> dict[int, int]:
-    """Row of ``given`` for each image of ``names`` that one is of, as ``names.all_found`` says.
+    """Row of ``given`` for each image of ``names`` that it names, as in ``names.all_found``.
 
-    Raises InputError, naming them, where two may be of one image, and if none is here.
+    Raises InputError, naming them, if two can be of one image, and if none is here.
     """
     found: dict[int, int] = {}
     for row, image in enumerate(all_found(given, ((name, k) for k, name in enumerate(names)))):
         other = row if image is None else found.setdefault(image, row)
         if given[other] != given[row]:
             raise InputError(
-                f"{path}: {given[other]} and {given[row]} may both be {names[image or 0]}: give the folder above as "
-                "that of the images, so that folders tell them apart"
+                f"{path}: {given[other]} and {given[row]} can both be {names[image or 0]}: give the folder above as "
+                "that of the images, so that folders distinguish them"
             )
     if not found:
         raise InputError(f"{path}: none of its {len(given)} images is here: {given[0]} ...; {absent(given[0], names)}")

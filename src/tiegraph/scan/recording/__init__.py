@@ -1,15 +1,15 @@
-"""What a camera wrote into its files beside the pictures: tracks, the fixes of its receiver, the factory's calibration.
+"""Data that a camera wrote into its files beside the pictures: tracks, GNSS fixes, the factory's calibration.
 
 A ``Recording`` names one film: a file, a track of one, or a topic of a bag.
-``tracks`` reads the tables of an MP4 file, and shows OpenCV one video track of several: its FFmpeg takes the first and
-knows no other (``CAP_PROP_VIDEO_STREAM`` is refused), but reads from a Python stream, in which the other tracks are
+``tracks`` reads the tables of an MP4 file, and shows OpenCV one video track of several: its FFmpeg reads only the
+first (``CAP_PROP_VIDEO_STREAM`` is refused), but reads from a Python stream, in which the other tracks are
 named free space. GoPro's telemetry is a track of key, length, value (``gpmf``), Insta360's a trailer behind
-the last box (``insta360``). Both end as ``Fixes``, positions by the stamps of the video. What the factory measured of
+the last box (``insta360``). Both give ``Fixes``, positions by the stamps of the video. The factory's calibration of
 the lenses of an Insta360 is a string of numbers (``insta360``).
 
-Of the libraries, telemetry-parser 0.3.0 (MIT or Apache) leaves GPS9 as bytes, knows no index of a trailer and has no
-wheel for Python 3.13. What is needed of both formats is a table, so it is read here, each size checked before it is
-used.
+Of the libraries, telemetry-parser 0.3.0 (MIT or Apache) leaves GPS9 as bytes, does not read the index of a trailer and
+has no wheel for Python 3.13. The needed part of both formats is a table, so it is read here, each size checked before
+it is used.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from tiegraph.scene.sorting import Columns
 
 @dataclass(frozen=True)
 class Recording:
-    """What is one video to the rest of scan: a file, one of the video tracks of a file, from 0, or an image topic of a
+    """One video for the rest of scan: a file, one of the video tracks of a file, from 0, or an image topic of a
     bag."""
 
     file: Path
@@ -35,20 +35,20 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """As it may be shown."""
+        """Its name for messages."""
         if self.topic is not None:
             return shown(self.file, self.topic)
         return clean(self.file.name) + ("" if self.track is None else f", track {self.track + 1}")
 
 
-# 2000 ... 2100: times outside are those of clocks that were never set (0 = 1904, 1970).
+# 2000 ... 2100: other times are those of clocks that were never set (0 = 1904, 1970).
 RECORDED_RANGE_S = (946684800.0, 4102444800.0)
 _MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heights
 
 
 @dataclass(frozen=True)
 class Readings(Columns):
-    """What a receiver wrote, row by row; NaN = not said. All (N,) but ``lat_lon_height`` (N, 3), degrees and metres."""
+    """Readings of a receiver, row by row; NaN = missing. All (N,) but ``lat_lon_height`` (N, 3), degrees and metres."""
 
     stamp_s: np.ndarray  # on the video's clock
     time_s: np.ndarray  # seconds since 1970, UTC
@@ -59,15 +59,15 @@ class Readings(Columns):
 
 @dataclass(frozen=True)
 class Fixes:
-    """Where the receiver was at stamps of the video, increasing; height NaN = not known."""
+    """Positions of the receiver at stamps of the video, increasing; height NaN = not known."""
 
     stamp_s: np.ndarray  # (R,)
     lat_lon_height: np.ndarray  # (R, 3) degrees, m
     max_gap_s: float
 
     def place(self, stamp_s: float) -> Taken:
-        """Where the frame with a stamp was taken: on the line between the fixes about it, if they are not too far
-        apart in time."""
+        """Position of the frame with a stamp: interpolated between the neighbouring fixes, if they are close enough
+        in time."""
         last = len(self.stamp_s) - 1
         after = min(max(int(np.searchsorted(self.stamp_s, stamp_s, side="right")), 1), last)
         rows = slice(max(after - 1, 0), after + 1)
@@ -81,7 +81,7 @@ class Fixes:
 
 
 def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:
-    """Those with a fix and a DOP that is not too large, in order of their stamps; and how many were left out, why."""
+    """Readings with a fix and a small enough DOP, in order of their stamps; and how many were left out, why."""
     lat, lon, height = readings.lat_lon_height.T
     no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
     on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > _MOST_HEIGHT_M)

@@ -1,16 +1,16 @@
-"""GoPro's telemetry track: where its receiver was and when, on the clock of the video.
+"""GoPro's telemetry track: positions and times of its receiver, on the clock of the video.
 
-A payload lasts about a second and holds devices (DEVC), these streams (STRM). Of a stream, the entries before the
-readings say how to take them. GPS5 (to HERO10): latitude, longitude, height and two speeds, divided by SCAL; once a
+A payload lasts about a second and contains devices (DEVC), these streams (STRM). In a stream, the entries before the
+readings describe them. GPS5 (to HERO10): latitude, longitude, height and two speeds, divided by SCAL; once a
 payload the time of the first (GPSU, UTC as yymmddhhmmss.sss), the fix (GPSF) and the DOP times 100 (GPSP). GPS9 (from
 HERO11): each row has days since 2000 and seconds of the day, UTC, DOP and fix itself. GPSA is MSLV where heights are
 above the sea; without, they are above the ellipsoid (gpmf-parser's README and issues 4, 46, 81).
 
-Readings have no stamps of their own: they share out the time of their payload, as GoPro's own parser does it.
+Readings have no stamps of their own: they divide the time of their payload evenly, as in GoPro's own parser.
 
 The form of the track is key, length, value (GPMF; github.com/gopro/gpmf-parser, "GPMF Deeper Dive"): an entry is four
 letters, a letter for the type of its numbers, the bytes of a row, the number of rows, and the rows, big-endian, filled
-up to four bytes. Entries nest; a reader here asks for one level at a time, so depth costs nothing.
+up to four bytes. Entries nest; the reader here reads one level at a time, so depth costs nothing.
 """
 
 import re
@@ -42,7 +42,7 @@ _GPS5, _GPS9 = 5, 9  # numbers a row
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry: its key, the letter of its type (zero: it holds entries), bytes a row, and the bytes of its rows."""
+    """An entry: its key, the letter of its type (zero: it contains entries), bytes a row, and the bytes of its rows."""
 
     key: str
     kind: str
@@ -50,7 +50,7 @@ class Entry:
     data: bytes
 
     def text(self) -> str:
-        """Its bytes as characters, without those that fill it up."""
+        """Its bytes as characters, without padding."""
         return self.data.decode("latin-1").rstrip("\0 ")
 
     def rows(self, types: str = "") -> np.ndarray:
@@ -69,22 +69,22 @@ class Entry:
 
 
 def entries(data: bytes) -> Iterator[Entry]:
-    """The entries that stand one behind the other. Raises BrokenTrack where one is longer than what is left."""
+    """The consecutive entries. Raises BrokenTrack if one is longer than the rest of the data."""
     at = 0
     while len(data) - at >= _HEAD and any(data[at : at + 4]):  # a key of zeros fills up the rest
         key = data[at : at + 4].decode("latin-1")
         size, count = data[at + 5], int.from_bytes(data[at + 6 : at + 8], "big")
         begin, length = at + _HEAD, size * count
         if begin + length > len(data):
-            raise BrokenTrack(f"{key!r} says {count} rows of {size} bytes, and {len(data) - begin} bytes are left")
+            raise BrokenTrack(f"{key!r} announces {count} rows of {size} bytes, but {len(data) - begin} bytes are left")
         yield Entry(key, chr(data[at + 4]), size=size, data=data[begin : begin + length])
         at = begin + length + -length % 4
 
 
 def _letters(types: str) -> str:
-    """The letters of a row, those with a number in brackets as often as it says."""
+    """The letters of a row; a letter with a number in brackets is repeated that often."""
     found = [(c, int(n or 1)) for c, n in _REPEATED.findall(types)]
-    if _REPEATED.sub("", types) or sum(n for _, n in found) > 255:  # one byte says the length of a row
+    if _REPEATED.sub("", types) or sum(n for _, n in found) > 255:  # one byte gives the length of a row
         return ""
     return "".join(c * n for c, n in found)
 
@@ -94,8 +94,8 @@ _Stream = dict[str, Entry]
 
 @dataclass(frozen=True)
 class Telemetry:
-    """What a telemetry track says: fixes (None = none usable), when the video began (s since 1970, UTC; NaN =
-    unknown), and in words where both came from."""
+    """Content of a telemetry track: fixes (None = none usable), when the video began (s since 1970, UTC; NaN =
+    unknown), and the origin of both in words."""
 
     fixes: Fixes | None
     start_s: float
@@ -103,7 +103,7 @@ class Telemetry:
 
 
 def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetry | None:
-    """The telemetry of a GoPro's video; None of a file without such a track. A damaged one is said, never raised."""
+    """The telemetry of a GoPro's video; None for a file without such a track. Damage is noted, never raised."""
     try:
         with regular(video, None).open("rb") as file:
             track = next((t for t in tracks(file) if t.format == b"gpmd"), None)
@@ -126,14 +126,14 @@ def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetr
 
 
 def _read(file: BinaryIO, table: Samples) -> tuple[dict[str, list[Readings]], bool, list[str]]:
-    """Readings by kind, whether heights are above the sea, and why payloads that cannot be read cannot."""
+    """Readings by kind, whether heights are above the sea, and the reasons for unreadable payloads."""
     found: dict[str, list[Readings]] = {"GPS5": [], "GPS9": []}
     end, above_sea, broken = file.seek(0, 2), False, []
     if table.size.sum() > end:
-        raise BrokenTrack(f"its {len(table.size)} payloads are larger together than the file")
+        raise BrokenTrack(f"its {len(table.size)} payloads together are larger than the file")
     for offset, size, begin, length in zip(table.offset, table.size, table.begin_s, table.length_s):
         if offset < 0 or offset + size > end:
-            broken.append("a payload lies behind the end of the file: is it cut off?")
+            broken.append("a payload lies beyond the end of the file: is it cut off?")
             continue
         file.seek(int(offset))
         try:
@@ -158,14 +158,14 @@ def _streams(payload: bytes) -> Iterator[_Stream]:
 
 
 def _scaled(stream: _Stream, key: str, columns: int) -> np.ndarray:
-    """(rows, columns) in degrees, metres and what else they are: divided by SCAL."""
+    """(rows, columns) in degrees, metres and other units: divided by SCAL."""
     types = stream["TYPE"].text() if "TYPE" in stream else ""
     rows = stream[key].rows(types)
     if "SCAL" not in stream:
         raise BrokenTrack(f"{key} without a scale (SCAL)")
     scale = stream["SCAL"].rows().ravel()
     if rows.shape[1] != columns or len(scale) not in (1, columns) or not np.all(scale):
-        raise BrokenTrack(f"{key} with {rows.shape[1]} numbers a row and {len(scale)} scales: {columns} are meant")
+        raise BrokenTrack(f"{key} with {rows.shape[1]} numbers a row and {len(scale)} scales: expected {columns}")
     return rows / scale
 
 
@@ -187,13 +187,13 @@ def _gps9(stream: _Stream) -> Readings:
 
 
 def _start(kept: Readings, tuning: PicturesTuning) -> tuple[float, str]:
-    """When the video began by the times of its receiver (s since 1970, UTC), and in words; NaN if they are none."""
+    """Start of the video by the times of its receiver (s since 1970, UTC), and in words; NaN if there are none."""
     late = (kept.time_s - kept.stamp_s)[np.isfinite(kept.time_s)]
     if not len(late):
         return float("nan"), ""
     start = float(np.median(late))
     spread = float(np.median(np.abs(late - start)))
     second, part = divmod(round(1e6 * start), 10**6)
-    doubt = f", in which they contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
+    doubt = f", which contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
     when = f"{date_text(second)}.{part // 1000:03d} UTC"
     return start, f"begins at {when} by {len(late)} times of its receiver{doubt}"

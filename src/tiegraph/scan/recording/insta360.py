@@ -1,20 +1,20 @@
-"""The trailer that Insta360's cameras write behind an MP4: where their receiver, or that of the remote, was and when.
+"""The trailer that Insta360's cameras write behind an MP4: positions and times of their receiver or the remote's.
 
-The file ends with 32 bytes, the length of the trailer, a version and 32 letters. Before them stand records, each
-followed by its format, its kind and its length; between the records of newer cameras lie gaps, and record 0, the last,
-says where each is. Record 7 has rows of 53 bytes: UTC since 1970 in seconds and milliseconds, A or V (acquired, void),
+The file ends with 32 bytes, the length of the trailer, a version and 32 letters. Records precede them, each
+followed by its format, its kind and its length; newer cameras leave gaps between the records, and record 0, the last,
+lists their places. Record 7 has rows of 53 bytes: UTC since 1970 in seconds and milliseconds, A or V (acquired, void),
 latitude with N or S, longitude with E or W (O in French), speed, course, height. As ExifTool (QuickTimeStream) and
 telemetry-parser read it.
 
-What the factory measured of the two lenses stands in the file too, as numbers joined by "_", the first the number of
-lenses; the last says the form (above its lowest 16 bits). The oldest, 0, has for each lens radius, centre x, y, yaw,
+The factory's calibration of the two lenses is in the file too, as numbers joined by "_", the first the number of
+lenses; the last gives the form (above its lowest 16 bits). The oldest, 0, has for each lens radius, centre x, y, yaw,
 pitch, roll, then width, height and kind (ExifTool's Parameters). Form 3 has for each the mirror parameter xi of a
 unified sphere (Mei 2007), fx, fy, cx, cy, yaw, pitch, roll, three metres, k1, k2, k3, p1, p2, width, height, kind.
 Lengths are pixels of both lenses side by side, angles degrees. telemetry-parser reads them so (insta360/rig.rs). The
 strings of an X5 are public (Insta360Develop/Desktop-CameraSDK-Cpp, issue 85): form 3 meets the radius that form 0
-states at 100 degrees to 0.2 %, and form 2, another model, to 0.4 % from 20 degrees on. How exactly the lenses stand to
-each other is left aside: only the rolls are used. Form 2 needs a table by the kind of lens, form 6 adds terms that no
-second source tells.
+states at 100 degrees to 0.2 %, and form 2, another model, to 0.4 % from 20 degrees on. The exact relative pose of the
+lenses is not used, only the rolls. Form 2 needs a table by the kind of lens, form 6 adds terms that no
+second source describes.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ from tiegraph.scene.regular import regular
 
 _OLD, _SPHERE = 0, 3
 _A_LENS = {_OLD: 6, _SPHERE: 19}  # numbers
-_BEHIND = {_OLD: 4, _SPHERE: 2}  # the number of lenses before, and what stands behind
+_BEHIND = {_OLD: 4, _SPHERE: 2}  # the number of lenses before, and the numbers after the lenses
 _LENSES = 2
 _FITTED = np.radians(np.arange(1.0, 88.5))  # COLMAP's fisheyes end at 90 degrees
 _LETTERS = b"8db42d694ccc418790edff439fe026bf"
@@ -45,9 +45,9 @@ _Places = dict[int, tuple[int, int]]  # first byte and length of a record by its
 
 
 def read_trailer(video: Path) -> Readings | None:
-    """The receiver's readings, their stamps NaN; None of a file without such a trailer or record.
+    """The receiver's readings, their stamps NaN; None for a file without such a trailer or record.
 
-    Raises BrokenTrack, and OSError of a file that cannot be read.
+    Raises BrokenTrack, and OSError for a file that cannot be read.
     """
     with regular(video, None).open("rb") as file:
         end = file.seek(0, 2)
@@ -59,7 +59,7 @@ def read_trailer(video: Path) -> Readings | None:
             return None
         length = int.from_bytes(foot[32:36], "little")
         if not _FOOT <= length <= end:
-            raise BrokenTrack(f"it says that it has {length} bytes, and the file has {end}")
+            raise BrokenTrack(f"its stated length is {length} bytes, but the file has {end}")
         begin, size = _records(file, end - length, end).get(_GPS, (0, 0))
         if not size:
             return None
@@ -69,7 +69,7 @@ def read_trailer(video: Path) -> Readings | None:
 
 
 def _records(file: BinaryIO, begin: int, end: int) -> _Places:
-    """Records between two places of a file: as the index says, or one by one from the end until a gap."""
+    """Records between two places of a file: by the index, or one by one from the end until a gap."""
     walked = _walk(file, begin, end)
     if _INDEX not in walked:
         return walked
@@ -81,7 +81,7 @@ def _records(file: BinaryIO, begin: int, end: int) -> _Places:
         if form != _BINARY or not size:
             continue
         if begin + offset + size > end - _FOOT:
-            raise BrokenTrack(f"its index says record {kind} has {size} bytes at {offset}, which is outside of it")
+            raise BrokenTrack(f"its index lists record {kind} with {size} bytes at {offset}, which is outside of it")
         found[kind] = begin + offset, size
     return found
 
@@ -98,7 +98,7 @@ def _walk(file: BinaryIO, begin: int, end: int) -> _Places:
         at -= _HEAD + length
         if at < begin:
             if not found:
-                raise BrokenTrack(f"its last record, {kind}, says {length} bytes, more than there are")
+                raise BrokenTrack(f"its last record, {kind}, announces {length} bytes, more than there are")
             break
         if form == _BINARY:
             found.setdefault(kind, (at, length))
@@ -123,8 +123,8 @@ def _readings(rows: np.ndarray) -> Readings:
 
 @dataclass(frozen=True)
 class FactoryLens:
-    """A lens: its centre and the size of the picture it was measured in, both lenses' (px), its roll (deg); and where
-    the string has it, the sphere: xi, f (px), k1, k2, k3."""
+    """A lens: its centre and the size of the picture it was measured in, both lenses' (px), its roll (deg); and if
+    the string has them, the parameters of the sphere: xi, f (px), k1, k2, k3."""
 
     centre_px: tuple[float, float]
     size: tuple[float, float]
@@ -132,15 +132,15 @@ class FactoryLens:
     sphere: tuple[float, ...] = ()
 
     def radius_px(self, angle: np.ndarray) -> np.ndarray:
-        """How far from the centre the lens shows what lies off its axis by angles, radians. Mei 2007, equation 12;
-        tangential distortion, a few pixels of 2700, is left away."""
+        """Radial distance in the image of points at angles off the axis, radians. Mei 2007, equation 12;
+        tangential distortion, a few pixels of 2700, is omitted."""
         xi, focal, k1, k2, k3 = self.sphere
         r = np.sin(angle) / (np.cos(angle) + xi)
         return np.asarray(focal * r * (1 + r**2 * (k1 + r**2 * (k2 + r**2 * k3))))
 
     def opencv_fisheye(self, number: int, width: int) -> tuple[float, ...]:
         """Parameters of OPENCV_FISHEYE for the half of that number (0, 1) of a picture, ``width`` px a half: the
-        polynomial of least squares up to 88 degrees. () if the numbers are none of a lens."""
+        least-squares polynomial up to 88 degrees. () if the numbers are impossible for a lens."""
         scale = _LENSES * width / self.size[0]
         radius = scale * self.radius_px(_FITTED)
         if not np.isfinite(radius).all() or not radius.any():
@@ -152,7 +152,7 @@ class FactoryLens:
 
 
 def factory_lenses(text: str) -> tuple[FactoryLens, FactoryLens] | None:
-    """The two lenses by the newest of the strings (separated by blanks) that can be read; None if none can."""
+    """The two lenses by the newest readable string (separated by blanks); None if none is readable."""
     found = [pair for word in text.split() if (pair := _read(word)) is not None]
     return max(found, key=lambda pair: len(pair[0].sphere), default=None)
 
@@ -165,7 +165,7 @@ def _read(word: str) -> tuple[FactoryLens, FactoryLens] | None:
     count = _A_LENS.get(form, 0)
     if not count or numbers[0] != _LENSES or len(numbers) != _LENSES * count + _BEHIND[form]:
         return None
-    size = numbers[-3], numbers[-2]  # of the old form; of the other, each lens has its own
+    size = numbers[-3], numbers[-2]  # of the old form; in the other, each lens has its own
     one, other = (_lens(numbers[1 + k * count : 1 + (k + 1) * count], size) for k in range(_LENSES))
     return (one, other) if one.size == other.size and one.size[0] == _LENSES * one.size[1] > 0 else None
 

@@ -1,8 +1,8 @@
-"""Tracks of an MP4 or QuickTime file (ISO/IEC 14496-12, 8.3 to 8.7): which there are, where their samples lie and when.
+"""Tracks of an MP4 or QuickTime file (ISO/IEC 14496-12, 8.3 to 8.7), with the places and times of their samples.
 
-Tables say their own length; it is checked against the box and the file before anything is read.
+Tables state their own length; it is checked against the box and the file before anything is read.
 
-Boxes of an MP4 or QuickTime file (ISO/IEC 14496-12, 4.2): where what they hold begins and ends.
+Boxes of an MP4 or QuickTime file (ISO/IEC 14496-12, 4.2): where their contents begin and end.
 """
 
 import io
@@ -16,17 +16,17 @@ import numpy as np
 from tiegraph.scene.regular import regular
 
 VIDEO = b"vide"
-_MOST_SAMPLES = 1_000_000  # bound of memory: of telemetry, one a second, 11 days
+_MOST_SAMPLES = 1_000_000  # bound of memory: telemetry of 11 days, one a second
 
 
 class BrokenTrack(ValueError):
-    """Tables of a track, entries or records in it that contradict each other or the file; the text says which."""
+    """Tables of a track, entries or records that contradict each other or the file; the text names them."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """A track: first and last byte of what its box holds, its kind and the format of its samples (four letters), and
-    width and height of its pictures as its header has them (8 bytes)."""
+    """A track: first and last byte of its box's contents, its kind and the format of its samples (four letters), and
+    width and height of its pictures as in its header (8 bytes)."""
 
     span: tuple[int, int]
     kind: bytes
@@ -36,7 +36,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Samples:
-    """Where the samples of a track lie in the file, bytes, and when they begin and how long they last, s. All (N,)."""
+    """Place of the samples of a track in the file, bytes, and their start and duration, s. All (N,)."""
 
     offset: np.ndarray
     size: np.ndarray
@@ -45,7 +45,7 @@ class Samples:
 
 
 def tracks(file: BinaryIO) -> list[Track]:
-    """The tracks that the header of an MP4 file names, in its order; none of another file."""
+    """The tracks in the header of an MP4 file, in its order; none for another file."""
     headers = boxes(file, b"moov", 0, file.seek(0, 2))
     spans = [span for header in headers for span in boxes(file, b"trak", *header)]
     return [
@@ -63,7 +63,7 @@ _TABLES = (b"mdia", b"minf", b"stbl")
 
 
 def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int, count: int) -> bytes:
-    """So many bytes at a place of a box, from its end if that is below 0; none if the box is shorter."""
+    """Some bytes at a place of a box, from its end if that is negative; none if the box is shorter."""
     found = _inside(file, span, path)
     if found is None or found[1] - found[0] < max(at, 0) + count:
         return b""
@@ -94,8 +94,8 @@ def samples(file: BinaryIO, track: Track) -> Samples:
 
 
 def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
-    """By its edit list (8.6.6) for how long nothing is shown of a track at first, and what of its samples is left away
-    then, s. Raises BrokenTrack."""
+    """By its edit list (8.6.6) how long a track shows nothing at first, and how much of its samples is then cut
+    off, s. Raises BrokenTrack."""
     found = _inside(file, track.span, (b"edts", b"elst"))
     movie = next((h for span in boxes(file, b"moov", 0, file.seek(0, 2)) for h in boxes(file, b"mvhd", *span)), None)
     if found is None or movie is None:
@@ -111,7 +111,7 @@ def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
 
 
 def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
-    """Counts (N,) cut off where their sum passes a total."""
+    """Counts (N,) cut off where their sum exceeds a total."""
     before = np.minimum(np.cumsum(counts) - counts, total)
     return np.minimum(counts, total - before)
 
@@ -168,7 +168,7 @@ def _offsets(file: BinaryIO, track: Track, sizes: np.ndarray) -> np.ndarray:
 
 
 def _table(file: BinaryIO, track: Track, kind: bytes, head: int, dtype: str, columns: int = 1) -> np.ndarray:
-    """(N, columns) rows of a table box; their number stands in the last four bytes of its head."""
+    """(N, columns) rows of a table box; their number is in the last four bytes of its head."""
     found = _inside(file, track.span, (*_TABLES, kind))
     name = kind.decode()
     if found is None or found[1] - found[0] < head:
@@ -178,7 +178,7 @@ def _table(file: BinaryIO, track: Track, kind: bytes, head: int, dtype: str, col
     row = columns * np.dtype(dtype).itemsize
     there = (found[1] - found[0] - head) // row
     if count > there:
-        raise BrokenTrack(f"its table {name} says {count} rows and has room for {there}")
+        raise BrokenTrack(f"its table {name} announces {count} rows and has room for {there}")
     if count > _MOST_SAMPLES:
         raise BrokenTrack(f"its table {name} has {count} rows, more than the {_MOST_SAMPLES} that are read")
     data = file.read(count * row)
@@ -188,7 +188,7 @@ def _table(file: BinaryIO, track: Track, kind: bytes, head: int, dtype: str, col
 
 
 class OneVideoTrack(io.BufferedIOBase):
-    """An MP4 file as if it had one of its video tracks alone: the boxes of the others are named free space."""
+    """An MP4 file with only one of its video tracks: the boxes of the others are named free space."""
 
     def __init__(self, path: Path, number: int) -> None:
         """``number``: among the video tracks, from 0. Raises OSError."""
@@ -201,7 +201,7 @@ class OneVideoTrack(io.BufferedIOBase):
         self._file.seek(0)
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As of a file; nothing where it can no longer be read, for who calls is not Python."""
+        """As of a file; nothing if it can no longer be read, because the caller is not Python."""
         begin = self._file.tell()
         try:
             data = self._file.read(-1 if size is None else size)
@@ -227,8 +227,8 @@ class OneVideoTrack(io.BufferedIOBase):
 
 
 def boxes(file: BinaryIO, kind: bytes, begin: int, end: int) -> Iterator[tuple[int, int]]:
-    """First and last byte of what each box of a kind holds, among the boxes between two places of a file; of one that
-    is cut off, as far as it goes."""
+    """First and last byte of the contents of each box of a kind, among the boxes between two places of a file; of a
+    box that is cut off, as far as it goes."""
     for _ in range(10_000):  # a file of more is damaged
         if end - begin < 8:
             return

@@ -1,1 +1,1 @@
-"""Rigs and cameras as files give them, one reader a format: rig.toml, COLMAP, Kalibr, OpenCV, ROS, Metashape."""
+"""Rigs and cameras from files, one reader a format: rig.toml, COLMAP, Kalibr, OpenCV, ROS, Metashape."""

@@ -1,24 +1,24 @@
-"""Files of cameras: one table of the formats that are known, by what stands in them and not by their names.
+"""Files of cameras: one table of the known formats, recognised by their contents and not by their names.
 
-What a camera model of COLMAP cannot say exactly is refused, with the term that does not fit. OpenCV, ROS and Kalibr are
+Terms that no camera model of COLMAP has exactly are refused, with the name of the term. OpenCV, ROS and Kalibr are
 read in ``cameraread``.
 
-**OpenSfM** (``camera_models.json``, ``reconstruction.json``; ``camera_distortions_functions.h``): lengths are parts of
-the longer side, the principal point is told from the middle of the image, as pixel = size/2 + longer side * (x + c).
+**OpenSfM** (``camera_models.json``, ``reconstruction.json``; ``camera_distortions_functions.h``): lengths are fractions
+of the longer side, the principal point is relative to the middle of the image: pixel = size/2 + longer side * (x + c).
 perspective, radial, simple_radial = RADIAL (two focal lengths: OPENCV), brown = FULL_OPENCV, fisheye = RADIAL_FISHEYE,
 fisheye_opencv = OPENCV_FISHEYE, fisheye62 without k5, k6 = THIN_PRISM_FISHEYE; p1 and p2 are as OpenCV's.
 
 **Agisoft** Metashape, PhotoScan from 1.2 and Lens (manual, appendix "Camera models"; XML of a calibration, or the
 ``sensor`` of a camera file): u = w/2 + cx + x' (f + b1) + y' b2, v = h/2 + cy + y' f, pixels from the corner of the
-first one (whose centre is 0.5, 0.5), as COLMAP's. x' has p1 (r2 + 2 x2) + 2 p2 xy: p1 and p2 change places against
-OpenCV. frame = FULL_OPENCV, which has no k4 of this kind, no b2, no p3 and p4. fisheye is the same of theta instead of
+first one (whose centre is 0.5, 0.5), as COLMAP's. x' has p1 (r2 + 2 x2) + 2 p2 xy: p1 and p2 are exchanged against
+OpenCV. frame = FULL_OPENCV, which has no k4 of this kind, no b2, p3 and p4. fisheye is the same with theta instead of
 tan theta, so k4 fits: OPENCV_FISHEYE, with p1 or p2 THIN_PRISM_FISHEYE. Older files (fx, fy, skew; cx, cy from the
 corner) are read without p1 and p2, whose order changed between the versions.
 
 **Kalibr's** camchain.yaml is a whole rig, too: ``T_cn_cnm1`` of camera n takes points of camera n-1 into camera n
 (wiki, "yaml formats": "always with respect to the last camera in the chain"), metres; the first camera has none and is
-the reference. A sensor is called as its camera (cam0, ...), and so is its folder. What is said of an IMU
-(``T_cam_imu``, ``timeshift_cam_imu``) is no part of a rig of cameras.
+the reference. A sensor has the name of its camera (cam0, ...), and so has its folder. Values of an IMU
+(``T_cam_imu``, ``timeshift_cam_imu``) are no part of a rig of cameras.
 """
 
 import json
@@ -60,7 +60,7 @@ _ROW = re.compile(rf"(?m)^[ \t]*\d+[ \t]+(?:{'|'.join(MODELS)})[ \t]")
 
 
 def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
-    """The cameras of a file; ``where``: what errors call it. Raises InputError naming what is wrong."""
+    """The cameras of a file; ``where``: its name in errors. Raises InputError naming the fault."""
     known = f"; known are {PROGRAMS}"
     if path.suffix.lower() == ".bin":
         return cameras_bin(path, where)
@@ -68,19 +68,19 @@ def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
     read = next((read for told, read in FORMATS.values() if told(content)), None)
     found = [] if read is None else read(content, where)
     if not found:
-        raise InputError(f"{where}: no calibration that is known{known}")
+        raise InputError(f"{where}: the format of the calibration is unknown{known}")
     for camera in found:
         check_count(camera.model, camera.params, camera.where)
     return found
 
 
 def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
-    """Raise InputError for a camera that no lens can be."""
+    """Raise InputError for a camera that is physically impossible."""
     if found.size is None:
         return
     width, height = found.size
     if max(found.size) > MAX_SIDE_PX:
-        raise InputError(f"{found.where}: images of {width} x {height}: at most {MAX_SIDE_PX} are read; mend it")
+        raise InputError(f"{found.where}: images of {width} x {height}: at most {MAX_SIDE_PX} are read; correct it")
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
     if wrong := lens_fault(camera, tuning):
         raise InputError(f"{found.where}: {wrong}")
@@ -177,17 +177,16 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
 
 
 def _link(block: str, where: str) -> np.ndarray:
-    """(4, 4) from the camera before to this one."""
+    """(4, 4) from the previous camera to this one."""
     given = matrix_of(block, _CHAIN)
     if not given:
         raise InputError(
-            f"{where}: no {_CHAIN}: where it is in the rig is not said. Calibrate the cameras together, or give "
-            "a rig.toml"
+            f"{where}: no {_CHAIN}: its pose in the rig is missing. Calibrate the cameras together, or give a rig.toml"
         )
     matrix = np.array(exactly(given, 16, f"{where}: {_CHAIN}")).reshape(4, 4)
     good = np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])
     if not good or not are_rotations(matrix[:3, :3], UNIT):
-        raise InputError(f"{where}: {_CHAIN} is no rotation and place (4 rows of 4, the last 0, 0, 0, 1)")
+        raise InputError(f"{where}: {_CHAIN} is no rotation and position (4 rows of 4, the last 0, 0, 0, 1)")
     return matrix
 
 
@@ -242,7 +241,7 @@ def _opensfm_lens(
     """COLMAP's model and parameters."""
     one = focal[0] == focal[1]
     radial = ("RADIAL", "k1 k2") if one else ("OPENCV", "k1 k2 - -")
-    forms = {  # a term that OpenSfM has not is 0
+    forms = {  # a term that OpenSfM lacks is 0
         **dict.fromkeys(("perspective", "radial", "simple_radial"), radial),
         "brown": ("FULL_OPENCV", "k1 k2 p1 p2 k3 - - -") if value.get("k3") else ("OPENCV", "k1 k2 p1 p2"),
         "fisheye": ("RADIAL_FISHEYE", "k1 k2"),
@@ -282,7 +281,7 @@ def agisoft(content: str, where: str) -> list[FoundCamera]:
 
 
 def agisoft_camera(sensor: Element, where: str) -> FoundCamera | None:
-    """The camera of an element that holds calibrations, the adjusted one where there is one; None without any, as of a
+    """The camera of an element with calibrations, the adjusted one if there is one; None without any, as for a
     sensor without images. Raises InputError."""
     given = [c for c in sensor.all("calibration") if {"f", "fx"} & {part.name for part in c.children}]
     if not given:
@@ -298,7 +297,7 @@ def agisoft_camera(sensor: Element, where: str) -> FoundCamera | None:
     sizes = [r.given for r in block.children if r.name == "resolution"] or [value]
     width, height = (float(sizes[0].get(side, 0.0)) for side in ("width", "height"))
     if min(width, height) < 1:
-        raise InputError(f"{where}: width and height are missing, from whose middle cx and cy are told; add them")
+        raise InputError(f"{where}: width and height are missing, but cx and cy are relative to their middle; add them")
     remedy = "optimise or calibrate without it, then export again"
     zero(value, ("b2", "skew", "p3", "p4"), where, remedy)
     if "fx" in value:
@@ -336,4 +335,4 @@ FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[FoundC
     "OpenCV's or ROS's YAML or XML": (is_opencv, opencv),
     "COLMAP's cameras.txt": (lambda content: bool(_ROW.search(content)), _cameras_txt),
 }
-"""Of each format what says of a text whether it is one, and what reads its cameras (text, where it is from)."""
+"""For each format a test whether a text has it, and the reader of its cameras (text, where it is from)."""

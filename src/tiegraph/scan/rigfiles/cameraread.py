@@ -1,5 +1,5 @@
-"""Cameras of OpenCV, ROS and Kalibr, as their YAML (or OpenCV's XML) has them, in COLMAP's models; and what readers of
-camera files share: what they find, and the few forms that values take in YAML, XML and JSON.
+"""Cameras of OpenCV, ROS and Kalibr in their YAML (or OpenCV's XML), in COLMAP's models; and shared parts of readers
+of camera files: their result, and the few forms of values in YAML, XML and JSON.
 
 Pixels count from the centre of the first one in all three, so half a pixel is added to the principal point.
 
@@ -10,7 +10,7 @@ its order; four coefficients of ``cv::fisheye`` (ROS: equidistant) are those of 
 **Kalibr** (wiki, "yaml formats" and "supported models"): pinhole with radtan = OPENCV, equidistant = OPENCV_FISHEYE,
 fov = FOV (both after Devernay and Faugeras 2001), eucm (alpha, beta, fu, fv, pu, pv) = EUCM. omni (xi, fu, ...; Mei
 2007) is, without distortion, EUCM with alpha = xi / (1 + xi), beta = 1 and focal lengths over 1 + xi: both divide by
-xi d + z, d the distance of the point, but for that factor.
+xi d + z, d the distance of the point, except for that factor.
 """
 
 import re
@@ -20,15 +20,15 @@ from dataclasses import dataclass
 from tiegraph.errors import InputError
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_ENDLESS_PX = 1e9  # no image is so large, and whole numbers of COLMAP hold it
+_ENDLESS_PX = 1e9  # larger than any image, and within whole numbers of COLMAP
 CENTRE = 0.5  # OpenCV, ROS and Kalibr count pixels from the centre of the first one, COLMAP from its corner
 
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A camera as a file has it, in COLMAP's model and order of parameters; ``where`` is file and, if known, line.
+    """A camera of a file, in COLMAP's model and order of parameters; ``where`` is file and, if known, line.
 
-    ``name``: what the file calls it, "" = nothing.
+    ``name``: its name in the file, "" = none.
     """
 
     model: str
@@ -39,33 +39,33 @@ class FoundCamera:
 
 
 def only_one(cameras: list[FoundCamera], where: str) -> FoundCamera:
-    """The camera of a file that must have one. Raises InputError, naming them."""
+    """The only camera of a file. Raises InputError naming them if there are several."""
     if len(cameras) == 1:
         return cameras[0]
     names = [c.name for c in cameras if c.name]
     listed = f" ({', '.join(names[:4])}{' ...' if len(names) > 4 else ''})" if names else ""
     raise InputError(
-        f"{where}: {len(cameras)} cameras{listed}; keep the one that took the images, or give each its folder and "
+        f"{where}: {len(cameras)} cameras{listed}; keep the one of these images, or give each its folder and "
         "camera in a rig.toml (`tiegraph init` writes one)"
     )
 
 
 def zero(values: dict[str, float], names: Iterable[str], where: str, remedy: str) -> None:
-    """Refuse terms that no camera model of COLMAP has beside the others. Raises InputError naming term and value."""
+    """Refuse terms that no camera model of COLMAP has with the others. Raises InputError naming term and value."""
     for name in names:
         if values.get(name, 0.0) != 0.0:
-            raise InputError(f"{where}: {name} = {values[name]:g}, which no camera model of COLMAP has here; {remedy}")
+            raise InputError(f"{where}: {name} = {values[name]:g}, a term that no camera model of COLMAP has; {remedy}")
 
 
 def word(content: str, key: str) -> str:
-    """The word that YAML, XML or a JSON key gives, "" if it is not there."""
+    """The word of a YAML, XML or JSON key, "" if it is not there."""
     found = re.search(rf"(?m)^[\s-]*{key}\s*:\s*[\"']?([\w+-]+)", content)
     found = found or re.search(rf"<{key}>\s*[\"']?([\w+-]+)", content)
     return found[1] if found else ""
 
 
 def numbers_of(content: str, *keys: str) -> tuple[float, ...]:
-    """The numbers of the first key that is there: ``key: [..]``, ``key: {data: [..]}``, one a line, XML's ``data``."""
+    """The numbers of the first key found: ``key: [..]``, ``key: {data: [..]}``, one a line, XML's ``data``."""
     for key in keys:
         xml = re.search(rf"<{key}\b[^>]*>(.*?)</{key}>", content, re.DOTALL)
         if xml:
@@ -102,14 +102,14 @@ def numbers(text: str) -> tuple[float, ...]:
 
 
 def exactly(values: tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
-    """The values, if there are so many. Raises InputError."""
+    """The values, if their number is right. Raises InputError."""
     if len(values) != count:
         raise InputError(f"{what}: {len(values)} numbers, {count} expected")
     return values
 
 
 def size_of(values: tuple[float, ...]) -> tuple[int, int] | None:
-    """Width and height, None if there are not two that can be meant; no more than ``_ENDLESS_PX`` of an endless one."""
+    """Width and height, None if there are not two plausible ones; at most ``_ENDLESS_PX``."""
     if len(values) != 2 or min(values) < 1:
         return None
     return int(min(values[0], _ENDLESS_PX)), int(min(values[1], _ENDLESS_PX))
@@ -180,7 +180,7 @@ def _whole_image(content: str, where: str) -> None:
         if value and value[0] > (1 if name.startswith("binning") else 0):
             raise InputError(
                 f"{where}: {name} = {value[0]:g}: the camera_info is of binned images or a part of the sensor; "
-                "calibrate the images as they are, or take the camera_info of whole ones"
+                "calibrate the images in this form, or take the camera_info of whole ones"
             )
 
 
@@ -196,7 +196,7 @@ def kalibr(content: str, where: str) -> list[FoundCamera]:
     blocks = kalibr_blocks(content) or {"": content}
     if len(re.findall(r"camera_model\s*:", content)) != len(blocks):
         raise InputError(
-            f"{where}: each camera has one camera_model, below a name (cam0:) that begins its line; mend it"
+            f"{where}: each camera needs one camera_model, below a name (cam0:) that begins its line; correct it"
         )
     return [_kalibr(name, text, where if len(blocks) == 1 else f"{where}, {name}") for name, text in blocks.items()]
 

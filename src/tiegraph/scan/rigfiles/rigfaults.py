@@ -1,4 +1,4 @@
-"""What is wrong with a rig: keys and values of its file that are none, and sizes, sigmas and lenses of no rig."""
+"""Faults of a rig: wrong keys and values of its file, and impossible sizes, sigmas and lenses."""
 
 import difflib
 import re
@@ -17,25 +17,25 @@ from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair, on_plane
 
-MAX_SIDE_PX = 100_000  # of an image that a rig file may name
+MAX_SIDE_PX = 100_000  # of an image in a rig file
 MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
-SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # sigmas of lengths and angles, from and to
+SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # range of the sigmas of lengths and angles
 _FISHEYE_LINES = 8  # of a fisheye image; those of a perspective one go to its corners and the middles of its sides
 _STEPS = 24  # along a line from the middle to the edge
-_EDGE = 0.95  # share of that line that is looked at: calibrations may fold in the last corner pixels
+_EDGE = 0.95  # share of that line that is tested: calibrations may fold in the last corner pixels
 
 # --- keys and values --------------------------------------------------------------------------------------------------
 
 
 class Part:
-    """A table of a rig file, or the file itself: its keys and values, checked by what names file, line and key."""
+    """A table of a rig file, or the file itself: its keys and values, checked with file, line and key in the errors."""
 
     def __init__(self, path: Path, lines: Sequence[str], span: tuple[int, int] | None, data: dict[str, Any]) -> None:
         """``span``: lines [first, last) of the table, None = of the file."""
         self.path, self.data, self._lines, self._span = path, data, lines, span
 
     def within(self, data: dict[str, Any]) -> "Part":
-        """A table within this one, whose lines are not told apart from its own."""
+        """A table within this one, with the same lines."""
         return Part(self.path, self._lines, self._span, data)
 
     def fail(self, key: str, message: str) -> InputError:
@@ -58,7 +58,7 @@ class Part:
                 raise self.fail(key, f"unknown key {key!r} in {where}{hint} (valid: {', '.join(valid)})")
 
     def numbers(self, key: str, count: int = 0) -> tuple[float, ...] | None:
-        """A list of finite numbers, so many if a count is given; None if the key is not there."""
+        """A list of finite numbers, with the given count if any; None if the key is not there."""
         value = self.data.get(key)
         if value is None:
             return None
@@ -105,7 +105,7 @@ class Part:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value of a file is a finite number that a float can hold."""
+    """Whether a value of a file is a finite number within the range of a float."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return abs(value) < sys.float_info.max
@@ -121,7 +121,7 @@ def nearest(value: Any, valid: tuple[Any, ...], cutoff: float = 0.5) -> str:
 
 
 class Fault(NamedTuple):
-    """What is wrong: the key at fault in the ``number``-th sensor or pair, and the sentence."""
+    """A fault: the key in the ``number``-th sensor or pair, and the sentence."""
 
     table: str  # "sensors", "pairs" or "" = the rig itself
     number: int
@@ -130,7 +130,7 @@ class Fault(NamedTuple):
 
 
 def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
-    """Everything that is wrong with the geometry of a rig, worst first."""
+    """All faults of the geometry of a rig, worst first."""
     for table, number, key, said in _far_apart(spec, tuning.max_rig_m):
         yield Fault(table=table, number=number, key=key, message=said)
     for number, sensor in enumerate(spec.sensors):
@@ -139,7 +139,7 @@ def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
             ("sigma_deg", sensor.sigma_deg, SIGMA_DEG),
         ):
             if value is not None and value > most:
-                said = f"{key} = {value:g}: {most:g} at most; leave it away if unknown"
+                said = f"{key} = {value:g}: {most:g} at most; omit it if unknown"
                 yield Fault(table="sensors", number=number, key=key, message=said)
     seen: dict[frozenset[str], int] = {}
     for number, pair in enumerate(spec.pairs):
@@ -154,7 +154,7 @@ def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
 
 
 def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
-    """What pairs say against the positions and orientations beside them; a nominal rig's are no measurement."""
+    """Contradictions of pairs to positions and orientations; those of a nominal rig are no measurement."""
     places = {s.name: s.body_from_sensor for s in spec.sensors if s.body_from_sensor is not None}
     out = []
     for pair in spec.pairs:
@@ -167,7 +167,7 @@ def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
             (pair.axis_deg, pair.axis_sigma_deg, axis, "degrees between the axes"),
         )
         out += [
-            f"pair {' - '.join(pair.sensors)}: {value:g} {unit} with sigma {sigma:g}, but the sensors' own poses say "
+            f"pair {' - '.join(pair.sensors)}: {value:g} {unit} with sigma {sigma:g}, but the sensors' own poses give "
             f"{found:.4g}: check which is right"
             for value, sigma, found, unit in said
             if value is not None and sigma is not None and abs(value - found) > tuning.contradiction_sigmas * sigma
@@ -191,9 +191,9 @@ def _far_apart(spec: RigSpec, most_m: float) -> Iterator[tuple[str, int, str, st
 
 
 def _pair(pair: SensorPair, tuning: RigTuning) -> Iterator[tuple[str, str]]:
-    """Keys of a pair that are at fault, and why."""
+    """Wrong keys of a pair, and why."""
     if all(getattr(pair, key) is None for key in PAIR_KEYS):
-        yield "sensors", f"the pair says nothing: give {', '.join(PAIR_KEYS)}"
+        yield "sensors", f"the pair has no measurement: give {', '.join(PAIR_KEYS)}"
     for key, (least, most) in zip(PAIR_KEYS, ((0.0, tuning.max_rig_m), SIGMA_M, (0.0, 180.0), SIGMA_DEG)):
         value = getattr(pair, key)
         if value is not None and not least <= value <= most:
@@ -204,23 +204,23 @@ def _pair(pair: SensorPair, tuning: RigTuning) -> Iterator[tuple[str, str]]:
 
 
 def count_fault(model: str, params: Sequence[float]) -> str:
-    """What is wrong with the number of parameters of a camera model, "" if nothing."""
+    """The fault in the number of parameters of a camera model, "" if none."""
     info = pycolmap.Camera.create_from_model_name(0, model, 1.0, 1, 1)
     said = f"{model} has {len(info.params)} parameters ({info.params_info}), got {len(params)}"
     return "" if len(params) == len(info.params) else said
 
 
 def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
-    """What is wrong with a calibrated camera, "" if nothing: focal lengths, principal point, view, distortion.
+    """The fault of a calibrated camera, "" if none: focal lengths, principal point, view, distortion.
 
-    Lines from the principal point to the edge of the image must become rays whose angle grows all along, finite, and
-    that come back to their pixels: distortion that folds the image maps two places of the world to one. Of a fisheye
-    image only the middle is looked at, for its circle may end before the edge.
+    Lines from the principal point to the edge of the image must become rays whose angle grows steadily, that are finite
+    and project back to their pixels: distortion that folds the image maps two places of the world to one. Of a fisheye
+    image only the middle is tested, because its circle may end before the edge.
     """
     width, height = camera.width, camera.height
     focal = [float(camera.params[k]) for k in camera.focal_length_idxs()]
     if not focal:
-        return f"{camera.model.name} is no camera of a rig: --rig panorama reads panoramas"
+        return f"{camera.model.name} is no camera model of a rig: --rig panorama reads panoramas"
     if min(focal) <= 0:
         return f"the focal length is {min(focal):g} px: it must be above 0"
     if max(focal) > tuning.max_aspect * min(focal):
@@ -237,13 +237,13 @@ def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
     if (np.abs(middle / [width, height] - 0.5) > tuning.off_centre).all():
         return (
             f"the principal point ({middle[0]:g}, {middle[1]:g}) is in a corner of the {width} x {height} image: it "
-            "counts pixels from the upper left corner, not from the middle, and is no share of the sides"
+            "counts pixels from the upper left corner, not from the middle, and is no fraction of the sides"
         )
     return _fold(camera, middle, fisheye, tuning)
 
 
 def focal_fault(focal_px: float, width: int, fisheye: bool, tuning: CameraTuning) -> str:
-    """What is wrong with a focal length of images ``width`` px wide, "" if nothing."""
+    """The fault of a focal length of images ``width`` px wide, "" if none."""
     ratio = width / 2 / focal_px
     across = float(np.degrees(2 * (ratio if fisheye else np.arctan(ratio))))
     least, most = tuning.min_fov_deg, 360.0 if fisheye else tuning.max_fov_deg
@@ -274,14 +274,14 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
         stretch = float(angle[-1] if fisheye else np.tan(angle[-1])) / straight
         if not tuning.stretch[0] <= stretch <= tuning.stretch[1]:
             return (
-                f"{said} lets the edge of the image look {stretch:.2g} times as far out as without distortion: are the "
+                f"{said} moves the edge of the image {stretch:.2g} times as far out as without distortion: are the "
                 "parameters those of normalised coordinates?"
             )
     return ""
 
 
 def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> np.ndarray:
-    """(E, 2) ends of lines from the middle: the edge of the image, or the circle surely seen by a fisheye lens."""
+    """(E, 2) ends of lines from the middle: the edge of the image, or the circle that any fisheye lens covers."""
     width, height = camera.width, camera.height
     if fisheye:
         turn = 2 * np.pi / _FISHEYE_LINES * np.arange(_FISHEYE_LINES)

@@ -1,19 +1,19 @@
-"""Rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``camerafile``), read.
+"""Reading of rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``camerafile``).
 
 rig.toml::
 
     name = "boat"            # optional, default "rig"
     axes = "flu"             # axes of the body frame: camera (right, down, forward: default), flu, frd or rfu
     fixed = false            # true: calibrated, never refined
-    nominal = false          # true: orientations from a drawing, degrees off
+    nominal = false          # true: orientations from a drawing, off by degrees
     synchronised = false     # true: all cameras fire at one instant (a wire, a trigger); false: the images decide
     antenna_m = [0.9, 0.6, 0.3]      # GNSS antenna in the body frame
 
-    [camera]                 # optional: what all sensors share
+    [camera]                 # optional: common values of all sensors
     model = "OPENCV"         # COLMAP's model and order of parameters
     size = [3072, 2048]      # width, height the parameters belong to; rescaled to images of the same shape
     params = [2759.5, 2764.2, 1520.7, 1006.8, 0, 0, 0, 0]     # or focal_px = 2760, or hfov_deg = 58
-    sigma_px = 0.4           # optional: of the focal length; a camera with one is adjusted, one without held as it is
+    sigma_px = 0.4           # optional: of the focal length; with it the camera is adjusted, without it is held fixed
 
     [[sensors]]              # the first one is the reference
     name = "cam0"
@@ -24,20 +24,20 @@ rig.toml::
     position_m = [0, 0, 0.06]                # projection centre in the body frame
     yaw_pitch_roll_deg = [0, 0, 0]           # yaw to the right, pitch up, roll clockwise as the camera sees it
     # or body_from_sensor_wxyz = [1, 0, 0, 0], or body_from_sensor = 3 rows of 3 (rotation) or 4 numbers (with position)
-    sigma_deg = 0.1                          # optional: how well its orientation and its place are known;
-    sigma_m = 0.002                          # a sensor with sigmas is adjusted about what is given
+    sigma_deg = 0.1                          # optional: accuracy of its orientation and position;
+    sigma_m = 0.002                          # a sensor with sigmas is adjusted about the given values
     crop_px = [0, 0, 0, 0]                   # optional: left, top, right, bottom
     camera = {hfov_deg = 90}                 # optional: instead of the shared one; {file = "left.yaml"}: a calibration
                                              # of another program, as of ``--camera``, beside the rig file
 
-    [[pairs]]                # optional: what was measured between two sensors, with its sigma
+    [[pairs]]                # optional: measurements between two sensors, with their sigmas
     sensors = ["cam0", "cam2"]
     baseline_m = 0.152       # distance of the projection centres
     baseline_sigma_m = 0.001
     axis_deg = 144.0         # angle between the optical axes
     axis_sigma_deg = 0.1
 
-The frame of a trajectory given beside a rig file is this body frame. Without orientation a sensor's place is unknown.
+The frame of a trajectory given beside a rig file is this body frame. A sensor without orientation has no known pose.
 """
 
 import json
@@ -76,15 +76,15 @@ _COLMAP_KEYS = (
     "image_prefix", "ref_sensor", "cam_from_rig_rotation", "cam_from_rig_translation", "camera_model_name",
     "camera_params",
 )  # fmt: skip
-RIG_NAME = "rig"  # of a file that gives none: a file's own name says how it was sent, not what it describes
+RIG_NAME = "rig"  # of a file that gives none: its own name does not describe the rig
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 
 
 def read_rig_file(path: Path | str, tuning: RigTuning, text: str | None = None) -> tuple[RigSpec, ...]:
     """Rigs of a rig.toml or Kalibr's camchain.yaml (one) or a COLMAP rig_config.json (one or more); of the ``text`` of
-    a rig.toml, where that comes from ``path``, a run folder.
+    a rig.toml, if that comes from ``path``, a run folder.
 
-    Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
+    Raises InputError with file, line and key for missing, unknown, misspelt or wrong values.
     """
     path = Path(path)
     if text is not None:
@@ -105,7 +105,7 @@ def parse_rig_file(path: Path, text: str, tuning: RigTuning, colmap: bool = Fals
         reader = _ColmapReader(path, text) if colmap else _TomlReader(path, text, tuning)
         rigs = reader.rigs()
     except RecursionError:
-        raise InputError(f"{path}: too many brackets within brackets to be a rig file") from None
+        raise InputError(f"{path}: too many nested brackets for a rig file") from None
     for rig in rigs:
         for fault in faults(rig, tuning):
             number = rig.sensors[fault.number].number if fault.table == "sensors" else fault.number
@@ -142,7 +142,7 @@ class _TomlReader:
     def part(self, table: str = "", number: int = 0, data: Any = None) -> Part:
         """The ``number``-th table of a name, with its ``data``; "" = the file.
 
-        A table ends at the next header that is no table within it ([sensors.camera] is within [[sensors]]).
+        A table ends at the next header outside of it ([sensors.camera] is within [[sensors]]).
         """
         if not table:
             return Part(self.path, self.lines, None, self.data)
@@ -229,7 +229,7 @@ class _TomlReader:
         return self.camera(self.part("camera"), self.data.get("camera", {}), "[camera]")
 
     def camera(self, table: Part, data: Any, where: str) -> dict[str, Any]:
-        """Fields of a sensor by its camera, whose keys stand in a table of the file."""
+        """Fields of a sensor by its camera, whose keys are in a table of the file."""
         if not isinstance(data, dict):
             raise table.fail("camera", f"camera of {where}: expected a table such as {{hfov_deg = 90}}")
         part = table.within(data)
@@ -243,7 +243,7 @@ class _TomlReader:
         if params is not None and "model" not in data:
             raise part.fail("params", f"camera of {where}: params need a model, for example OPENCV")
         model = part.model("model", params)
-        for key, most in (("focal_px", 1e6), ("hfov_deg", 360.0)):  # that a rig file may name
+        for key, most in (("focal_px", 1e6), ("hfov_deg", 360.0)):  # largest values in a rig file
             value = data.get(key, 1.0)
             if not is_number(value) or not 0 < value <= most:
                 raise part.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}")
@@ -275,7 +275,7 @@ class _TomlReader:
 
 
 def _pose(part: Part, axes: str) -> np.ndarray | None:
-    """body_from_sensor (4, 4) of a table of a sensor; None where it says nothing."""
+    """body_from_sensor (4, 4) of a table of a sensor; None without a pose."""
     turns = [t for t in _TURNS if t in part.data]
     if len(turns) > 1:
         raise part.fail(turns[1], f"give one of {', '.join(_TURNS)}, not {' and '.join(turns)}")
@@ -320,7 +320,7 @@ class _ColmapReader:
         self.path, self.lines = path, text_lines(text)
 
     def part(self, table: str = "", number: int = 0, data: Any = None) -> Part:
-        """The ``number``-th camera, with its ``data``: cameras are the objects that hold no other; "" = the file."""
+        """The ``number``-th camera, with its ``data``: cameras are the objects without nested ones; "" = the file."""
         text = "\n".join(self.lines)
         found = next(islice(re.finditer(r"\{[^{}]*\}", text), number, None), None) if table else None
         if found is None:
@@ -384,7 +384,7 @@ class _ColmapReader:
         turn, place = part.quaternion("cam_from_rig_rotation"), part.numbers("cam_from_rig_translation", 3)
         if part.data.get("ref_sensor"):
             if turn is not None or place is not None:
-                raise part.fail("cam_from_rig_rotation", "the reference sensor is the rig frame: leave its pose away")
+                raise part.fail("cam_from_rig_rotation", "the reference sensor is the rig frame: omit its pose")
             return np.eye(4)
         if (turn is None) != (place is None):
             raise part.fail("image_prefix", "cam_from_rig_rotation and cam_from_rig_translation belong together")

@@ -1,5 +1,5 @@
-"""A rig as a person or a preset describes it, before the images' sizes are known; and rig files written: tiegraph's
-rig.toml and COLMAP's rig_config.json.
+"""A rig as described by a user or a preset, before the images' sizes are known; and the writers of rig files:
+tiegraph's rig.toml and COLMAP's rig_config.json.
 """
 
 import json
@@ -27,7 +27,7 @@ AXES = {
 }
 LADYBUG_SIDES = 5
 PRESET_WORDS = "ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
-UNIT = 1e-3  # by so much may the length of a quaternion, or a product of two rows of a rotation, miss what it must be
+UNIT = 1e-3  # tolerance of the length of a quaternion, and of products of two rows of a rotation
 _LADYBUG_HFOV_DEG = 90.0  # of a rectified side image of the preset ladybug5, about
 
 
@@ -36,7 +36,7 @@ class SensorSpec:
     """One sensor of a rig file or preset."""
 
     name: str
-    folder: str | None = None  # None: a folder called like the sensor
+    folder: str | None = None  # None: a folder with the sensor's name
     role: str = "side"
     body_from_sensor: np.ndarray | None = None  # (4, 4); None = unknown
     model: str | None = None
@@ -77,7 +77,7 @@ class RigSpec:
 
 
 def orient(yaw_deg: float, pitch_deg: float, roll_deg: float, axes: str = "camera") -> np.ndarray:
-    """Rotation body_from_sensor (3, 3) of a camera turned out of the body's forward direction.
+    """Rotation body_from_sensor (3, 3) of a camera rotated away from the body's forward direction.
 
     yaw to the right (clockwise seen from above), then pitch up, then roll clockwise as seen by the camera.
     """
@@ -95,7 +95,7 @@ def yaw_pitch_roll_deg(body_from_sensor: np.ndarray) -> tuple[float, float, floa
 
 
 def preset_sizes(text: str, tuning: RigTuning) -> tuple[int, ...]:
-    """Numbers of cameras that a preset may have; () if ``text`` is no preset. Raises InputError for a bad number."""
+    """Numbers of cameras that a preset allows; () if ``text`` is no preset. Raises InputError for a bad number."""
     word, _, number = text.strip().lower().partition(":")
     if word == "ring":
         count = _number(number, text)
@@ -112,8 +112,8 @@ def preset_sizes(text: str, tuning: RigTuning) -> tuple[int, ...]:
 def preset(text: str, folders: tuple[str, ...], tuning: RigTuning) -> RigSpec:
     """Rig of a preset for the camera folders found.
 
-    ``ladybug5``, ``ring:N``, ``stereo[:baseline in m]``, ``single``. All are nominal: axes are degrees off, centres
-    coincide (paper 000 eq. 1-3), and the sense of rotation is an assumption for the network stage to check. Raises
+    ``ladybug5``, ``ring:N``, ``stereo[:baseline in m]``, ``single``. All are nominal: axes are off by degrees, centres
+    coincide (paper 000 eq. 1-3), and the sense of rotation is an assumption that the network stage checks. Raises
     InputError if the number of folders does not fit.
     """
     sizes = preset_sizes(text, tuning)
@@ -160,21 +160,21 @@ def _number(text: str, whole: str) -> float:
 
 
 EXPLAINED = """\
-Body frame: what all positions and angles below are in. axes says which way its axes point:
+Body frame: the frame of all positions and angles below. axes names the directions of its axes:
   camera = x right, y down, z forward; flu = x forward, y left, z up; frd = x forward, y right, z down;
   rfu = x right, y forward, z up.
 Camera frame: x right, y down, z forward (along the view), as the camera sees; origin = its projection centre.
-position_m: where the projection centre is in the body frame: x, y, z in metres.
-yaw_pitch_roll_deg: how the camera is turned out of the body's forward direction, in degrees and in this order:
+position_m: the projection centre in the body frame: x, y, z in metres.
+yaw_pitch_roll_deg: rotation of the camera away from the body's forward direction, in degrees and in this order:
   yaw to the right (clockwise seen from above: 90 looks to the right), then pitch up (90 looks straight up),
   then roll clockwise as the camera sees (90: its right side points down). 0, 0, 0 looks forward, upright.
 Instead of yaw_pitch_roll_deg, camera to body (the inverse of COLMAP's cam_from_rig):
   body_from_sensor = 3 rows of 3 numbers (point in body = rows times point in camera, plus position_m), or
   body_from_sensor_wxyz = the same rotation as a quaternion, w first.
-antenna_m: the GNSS antenna in the body frame, metres. fixed = true: never refined. nominal = true: degrees off.
-sigma_deg, sigma_m of a sensor: how well its angles and its position are known; it is adjusted about them.
+antenna_m: the GNSS antenna in the body frame, metres. fixed = true: never refined. nominal = true: off by degrees.
+sigma_deg, sigma_m of a sensor: accuracy of its angles and its position; it is adjusted about them.
 params: COLMAP's model and order, for images of size (width, height); pixels count from the image's corner.
-sigma_px: how well its focal length is known; such a camera is adjusted, one without is held as it stands here."""
+sigma_px: accuracy of its focal length; such a camera is adjusted, one without is held fixed."""
 
 
 def rig_config(rigs: Sequence[Rig]) -> str:
@@ -199,12 +199,12 @@ def _colmap_cameras(rig: Rig) -> list[dict]:
 
 
 def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
-    """Write a rig as rig.toml that explains itself."""
+    """Write a rig as a commented rig.toml."""
     Path(path).write_text(rig_toml(rig, comment), encoding="utf-8")
 
 
 def rig_toml(rig: Rig, comment: str = "") -> str:
-    """A rig as text of a rig.toml that explains itself; its body frame is the reference sensor's (axes = camera)."""
+    """A rig as text of a commented rig.toml; its body frame is the reference sensor's (axes = camera)."""
     lines = [f"# {line}" for line in (*comment.splitlines(), *EXPLAINED.splitlines())]
     lines += [
         f"name = {json.dumps(rig.name, ensure_ascii=False)}",
@@ -234,7 +234,7 @@ def rig_toml(rig: Rig, comment: str = "") -> str:
         lines += [f"{key} = {float(value)!r}" for key, value in sigmas if value is not None]
         camera = sensor.camera
         if sensor.source is not None and sensor.source.camera is not None:
-            camera = sensor.source.camera  # the file describes what comes from the camera, not what scan made of it
+            camera = sensor.source.camera  # the file describes the camera's own images, not those that scan made
         if sensor.source is not None and any(sensor.source.crop_px):
             lines.append(f"crop_px = {list(sensor.source.crop_px)}")
         if camera is not None:

@@ -1,1 +1,1 @@
-"""Videos and the images of bags: their frames, when each was taken, and how videos of one rig lie in time."""
+"""Videos and the images of bags: their frames, the time of each, and the time offsets of videos of one rig."""

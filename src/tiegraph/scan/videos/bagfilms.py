@@ -1,8 +1,8 @@
-"""Image topics of ROS bags, each a camera: told apart, and read as videos are, picture by picture with stamps.
+"""Image topics of ROS bags, each a camera: distinguished, and read like videos, picture by picture with stamps.
 
-ROS has no rule but a habit: the topics below one name are of one camera (/left/image_raw, /left/image_rect,
-/left/camera_info), and what ``image_transport`` compressed is called as its source, /left/image_raw/compressed. So the
-folder of the pictures is called as what stands before ``image``: left.
+ROS has a convention but no rule: the topics below one name are of one camera (/left/image_raw, /left/image_rect,
+/left/camera_info), and a topic compressed by ``image_transport`` has its source's name, /left/image_raw/compressed. So
+the folder of the pictures has the name before ``image``: left.
 """
 
 import re
@@ -48,7 +48,7 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 }
 _INFO = "sensor_msgs/CameraInfo"
 _COMPRESSED = "/compressed"
-_RATE_FRAMES = 50  # messages of a topic, from its start, whose stamps tell its rate
+_RATE_FRAMES = 50  # messages of a topic, from its start, whose stamps give its rate
 _IMAGE = re.compile(r"image(_\w+)?")
 
 
@@ -66,7 +66,7 @@ def find_bags(root: Path) -> list[Path]:
 def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[tuple[Recording, str]], list[str]]:
     """The image topics of a bag, each with the folder for its pictures below ``folder``, and notes.
 
-    Without topics that are ``asked`` for all are cameras but those of depths, and of what stands there twice. Raises
+    Without topics that are ``asked`` for, all are cameras except those of depths and repeated ones. Raises
     InputError for a damaged bag, one without images, and several topics of one camera.
     """
     with open_bag(bag_path) as bag:
@@ -96,10 +96,10 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
 
 
 def fixes_notes(bag_path: Path) -> list[str]:
-    """What to say of the positions in a bag, where none were given. Raises what ``open_bag`` raises."""
+    """Notes on the positions in a bag, if none were given. Raises as ``open_bag``."""
     with open_bag(bag_path) as bag:
         found = [t for t in bag.topics if t.kind in FIXES and t.count]
-    return [f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} takes them" for t in found]
+    return [f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} uses them" for t in found]
 
 
 def _source(topic: str) -> list[str]:
@@ -108,14 +108,14 @@ def _source(topic: str) -> list[str]:
 
 
 def _camera_name(topic: str) -> str:
-    """What a topic's camera is called: a word that folders of cameras are told by is in it."""
+    """The name of a topic's camera: it contains a word that marks folders of cameras."""
     parts = _source(topic)
     name = re.sub(r"[^A-Za-z0-9]+", "_", "_".join(parts[:-1] if _IMAGE.fullmatch(parts[-1]) else parts)).strip("_")
     return name if is_camera(name) else f"cam_{name}" if name else "cam"
 
 
 class BagFilm:
-    """An opened image topic: its frames as those of an ``OpenVideo``, and what is wrong with them."""
+    """An opened image topic: its frames as those of an ``OpenVideo``, and their faults."""
 
     def __init__(self, bag: Bag, topic: Topic) -> None:
         self._bag, self._topic = bag, topic
@@ -134,8 +134,8 @@ class BagFilm:
         return float(1 / np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
 
     def frames(self) -> Iterator[tuple[float, np.ndarray]]:
-        """(stamp in s since the first message, BGR picture) in order; frames that are not later than those before them
-        are left out."""
+        """(stamp in s since the first message, BGR picture) in order; frames that are not later than the previous
+        ones are left out."""
         last = -1.0
         for message, received_ns in self._bag.messages(self._topic):
             stamp = (stamp_ns(message.header, received_ns) - self._start_ns) * 1e-9
@@ -147,9 +147,9 @@ class BagFilm:
                 self.late += 1
 
     def doubts(self, tuning: PicturesTuning) -> str:
-        """What is wrong with the frames seen, to follow other words; "" for nothing."""
+        """Faults of the frames read, to follow other words; "" for none."""
         lost = self._topic.count - self.count - self.late
-        said = f"; {lost} of its {self._topic.count} messages hold no whole picture" if lost > 0 else ""
+        said = f"; {lost} of its {self._topic.count} messages have no whole picture" if lost > 0 else ""
         return said + (f"; {self.late} have a stamp that is not later than the one before" if self.late else "")
 
     def clock(self, shift_s: float) -> VideoClock:
@@ -158,14 +158,14 @@ class BagFilm:
         low, high = RECORDED_RANGE_S
         dated = low <= start_s <= high
         when = f"{date_text(start_s)} UTC" if dated else f"{start_s:.3f} s"
-        late = f"which it was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s after"
+        late = f"which was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s later"
         by = f"the stamp of its first message, {late}" if self._stamped else "its receipt: its headers have no stamps"
         return VideoClock(
             start_s=start_s + shift_s, known=True, utc=dated, shared=True, note=f"{name}: begins at {when} by {by}"
         )
 
     def camera(self, size: tuple[int, int], tuning: CameraTuning) -> tuple[FoundCamera | None, str]:
-        """The calibration that the bag has for images of a size (width, height), and what to say of it."""
+        """The bag's calibration for images of a size (width, height), and a note."""
         parts = _source(self._topic.name)
         beside = {"/" + "/".join([*above, "camera_info"]) for above in (parts[:-1], parts)}
         info = next((t for t in self._bag.topics if t.kind == _INFO and t.count and t.name in beside), None)
@@ -181,11 +181,11 @@ class BagFilm:
                 check_lens(found, tuning)
         except InputError as error:
             return None, f"no calibration is taken from {error}"
-        return found, "" if found else f"{where}: a camera that was not calibrated (K = 0): nothing is taken from it"
+        return found, "" if found else f"{where}: a camera that was not calibrated (K = 0): not used"
 
 
 def _camera(info: Any, where: str, rectified: bool) -> FoundCamera | None:
-    """The camera of a CameraInfo, read as ROS's YAML of it is; None of one that was not calibrated."""
+    """The camera of a CameraInfo, read like ROS's YAML; None if it was not calibrated."""
     given = {key: [float(v) for v in getattr(info, key, getattr(info, key.upper(), ()))] for key in "kdp"}
     matrix = [*given["p"][0:3], *given["p"][4:7], *given["p"][8:11]] if rectified else given["k"]
     if not any(matrix[:1]):
@@ -213,14 +213,14 @@ def unread(message: Any) -> str:
 
 
 def bgr(message: Any) -> np.ndarray | None:
-    """(H, W, 3) u1 of a message; None where it holds no picture, or less than it says."""
+    """(H, W, 3) u1 of a message; None if it contains no picture, or too few bytes."""
     try:
         if not hasattr(message, "encoding"):
             return cv2.imdecode(message.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         size, conversion = _ENCODINGS[message.encoding.lower()]
         rows = message.data[: message.height * message.step].reshape(message.height, message.step)
         pixels = rows[:, : size * message.width].reshape(message.height, message.width, size)
-        if message.encoding.lower() == "mono16":  # as cv_bridge does it: of the whole range
+        if message.encoding.lower() == "mono16":  # like cv_bridge: of the whole range
             pixels = pixels[:, :, :1] if message.is_bigendian else pixels[:, :, 1:]
         return pixels if conversion is None else cv2.cvtColor(np.ascontiguousarray(pixels), conversion)
     except (KeyError, ValueError, cv2.error):

@@ -1,7 +1,7 @@
 """Videos as image sequences: the sharpest picture of each stretch of time, numbered in order, each with its time.
 
-Videos of 360 cameras before stitching: Insta360's .insv, an MP4 by another name. Three kinds are about. One video shows
-both lenses side by side: its pictures are told by their two circles (``sharedfiles``). Two files of one shot,
+Videos of 360 cameras before stitching: Insta360's .insv, an MP4 by another name. There are three kinds. One video shows
+both lenses side by side: its pictures are recognised by their two circles (``sharedfiles``). Two files of one shot,
 ..._00_... and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a
 rig.
 """
@@ -38,7 +38,7 @@ Frame = tuple[float, np.ndarray]  # stamp in s since the start of the recording,
 
 @dataclass(frozen=True)
 class Choice:
-    """Which frames of a video become pictures, with their numbers; and in words."""
+    """The frames of a video that become pictures, with their numbers; and in words."""
 
     pick: Callable[[Iterator[Frame]], Iterator[tuple[int, Frame]]]
     words: str
@@ -46,7 +46,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Pictures:
-    """What was taken from a video: numbers and stamps (s) of the pictures, and what a person should know."""
+    """The pictures taken from a video: their numbers and stamps (s), and notes."""
 
     numbers: tuple[int, ...] = ()
     stamps_s: tuple[float, ...] = ()
@@ -54,13 +54,13 @@ class Pictures:
 
 
 def find_videos(root: Path) -> list[str]:
-    """Names (POSIX, relative to ``root``, sorted) of the videos below a folder; hidden ones are passed over."""
+    """Names (POSIX, relative to ``root``, sorted) of the videos below a folder; hidden ones are skipped."""
     return sorted(f.relative_to(root).as_posix() for f in files_below(root) if f.suffix.lower() in SUFFIXES)
 
 
 def picture_folders(videos: Sequence[str]) -> list[str]:
-    """A folder for the pictures of each video: its name without the ending, where that is unique; <shot>/fisheye0 and
-    <shot>/fisheye1 where two files of a shot have a lens each."""
+    """A folder for the pictures of each video: its name without the extension, if that is unique; <shot>/fisheye0 and
+    <shot>/fisheye1 if two files of a shot have a lens each."""
     safe = ["/".join(shortened(part) for part in name.split("/")) for name in clean_names(videos)]
     bare = [str(PurePosixPath(v).with_suffix("")) for v in safe]
     found = [_of_lens(PurePosixPath(v)) for v in safe]
@@ -72,7 +72,7 @@ def picture_folders(videos: Sequence[str]) -> list[str]:
 
 
 class OpenVideo:
-    """An opened video: its frames with their stamps, and what is wrong with it."""
+    """An opened video: its frames with their stamps, and its faults."""
 
     broken = "cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
 
@@ -80,11 +80,11 @@ class OpenVideo:
         self._capture, self._delay_s = capture, delay_s
         self.count = self.unstamped = 0
         fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
-        self.fps = fps if 0 < fps < 1000.0 else 0.0  # frames a second from which the header of a video is not believed
+        self.fps = fps if 0 < fps < 1000.0 else 0.0  # frames a second; a header with more is wrong
         self.expected = float(capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
     def frames(self) -> Iterator[Frame]:
-        """Frames in order; one whose stamp is not later than the one before it is taken to follow it by 1 / fps."""
+        """Frames in order; one whose stamp is not later than the previous one is assumed to follow it by 1 / fps."""
         last = -1.0
         while self.fps:
             there, picture = self._capture.read()
@@ -99,27 +99,27 @@ class OpenVideo:
             yield stamp + self._delay_s, picture
 
     def doubts(self, tuning: PicturesTuning) -> str:
-        """What is wrong with the frames seen, to follow other words; "" for nothing."""
+        """Faults of the frames read, to follow other words; "" for none."""
         said = ""
         if self.count < tuning.least_decoded * self.expected:
             said += f"; only {self.count} of its {self.expected:.0f} frames could be decoded: is the file cut off?"
         if self.unstamped:
             said += (
-                f"; {self.unstamped} of its {self.count} frames have no stamp, or one out of order: taken "
+                f"; {self.unstamped} of its {self.count} frames have no stamp, or one out of order: assumed "
                 f"{1 / self.fps:.3f} s after the one before"
             )
         return said
 
 
 def check_film(recording: Recording) -> None:
-    """Raise OSError for a video that is no file; the topic of a bag says what is wrong when it is opened."""
+    """Raise OSError for a video that is no file; faults of a bag's topic show when it is opened."""
     if recording.topic is None:
         regular(recording.file, None)
 
 
 @contextmanager
 def open_film(recording: Recording) -> Iterator[OpenVideo | BagFilm]:
-    """A video or one track of it, by OpenCV, or the topic of a bag. Raises InputError for a bag that is damaged."""
+    """A video or one track of it, by OpenCV, or the topic of a bag. Raises InputError for a damaged bag."""
     if recording.topic is not None:
         with open_bag(recording.file) as bag:
             yield BagFilm(bag, bag.only(TOPICS, (recording.topic,)))
@@ -136,7 +136,7 @@ def open_film(recording: Recording) -> Iterator[OpenVideo | BagFilm]:
 
 
 def _delay_s(recording: Recording) -> float:
-    """When an MP4 shows its first frame by its edit list; OpenCV counts from there, and leaves away what that cuts."""
+    """When an MP4 shows its first frame by its edit list; OpenCV counts from there, and omits the part cut off."""
     try:
         with regular(recording.file, None).open("rb") as file:
             films = [track for track in tracks(file) if track.kind == VIDEO]
@@ -146,7 +146,7 @@ def _delay_s(recording: Recording) -> float:
 
 
 def _capture(video: Path) -> cv2.VideoCapture:
-    """It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files."""
+    """It gets a link as name: a name that is not UTF-8 would end the process, and %d would mean numbered files."""
     with scratch_folder() as folder:
         link = folder / f"video{video.suffix.lower()}"
         try:
@@ -161,8 +161,8 @@ def take_pictures(
 ) -> Pictures:
     """Write the chosen frames of a recording below ``folder``, with time and position in their EXIF.
 
-    The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video; raises
-    InputError for a bag that is damaged.
+    The folder is made whole or not at all; an existing one is kept. Never raises for a broken video; raises
+    InputError for a damaged bag.
     """
     if folder.exists():
         data = json.loads((folder / _TAKEN).read_text())
@@ -200,7 +200,7 @@ def sharpest(per_second: float) -> Choice:
         best: tuple[float, Frame] | None = None
         stretch = number = 0
         for frame in frames:
-            now = int((frame[0] + 1e-6) * per_second)  # by so much are stamps rounded
+            now = int((frame[0] + 1e-6) * per_second)  # stamps are rounded by this much
             if now != stretch and best is not None:
                 yield number, best[1]
                 best, number = None, number + 1
@@ -214,7 +214,7 @@ def sharpest(per_second: float) -> Choice:
 
 
 def nearest(numbers: Sequence[int], stamps_s: Sequence[float], most_s: float) -> Choice:
-    """The frame nearest to each of some increasing stamps, no farther than ``most_s``; numbered as they are."""
+    """The frame nearest to each of some increasing stamps, at most ``most_s`` away; numbered like them."""
 
     def choose(frames: Iterator[Frame]) -> Iterator[tuple[int, Frame]]:
         wanted = list(zip(numbers, stamps_s))[::-1]
@@ -247,7 +247,7 @@ _OF_LENS = re.compile(r"^(VID_\d+_\d+)_([01])0_(\d+)$", re.IGNORECASE)
 
 
 def is_of_lens(recording: Recording) -> bool:
-    """Whether a video is by its name one lens of a shot, or a track beside another, recorded together with it."""
+    """Whether a video, by its name, is one lens of a shot, or a track beside another, recorded together with it."""
     return recording.track is not None or _of_lens(recording.file) is not None
 
 
@@ -256,7 +256,7 @@ def _of_lens(video: PurePath) -> re.Match[str] | None:
 
 
 def recordings_of(video: Path, folder: str) -> list[tuple[Recording, str]]:
-    """A video with the folder of its pictures; of one whose two lenses have a track each, <folder>/fisheye0 and 1."""
+    """A video with the folder of its pictures; if its two lenses have a track each, <folder>/fisheye0 and 1."""
     if not (video.suffix.lower() == SUFFIX and _two_tracks(video)):
         return [(Recording(video), folder)]
     return [(Recording(video, k), f"{folder}/fisheye{k}") for k in range(2)]

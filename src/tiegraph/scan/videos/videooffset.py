@@ -1,11 +1,11 @@
-"""When one video of a rig began after another: by the motion of their pictures.
+"""The time offset between two videos of one rig, by the motion of their pictures.
 
 Two cameras on one body turn together, so the motion of one picture is a linear function of the motion of the other at
 the same instant, of unknown coefficients (their axes and lenses differ). The likelihood of an offset is that of the
 best linear relation: the mutual information of two Gaussian signals, -1/2 log(det C / (det Cx det Cy)) a sample. The
-motion is made white by its own first autocorrelation before, or any two slow turns would fit. Between frames both
-curves are interpolated alike, by half the change of the offset, on grids of several phases, so that the smoothing of
-one does not draw the offset to whole frames.
+motion is first whitened by its own first autocorrelation, because otherwise any two slow rotations would fit. Between
+frames both curves are interpolated in the same way, by half the change of the offset, on grids of several phases, so
+that the smoothing of one does not bias the offset to whole frames.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CHANNELS = 4
 
 @dataclass(frozen=True)
 class Offset:
-    """What to add to the stamps of a video to get those of another, and its sigma; or ``refused``: why none is told."""
+    """Offset from the stamps of a video to those of another, and its sigma; or ``refused``: why there is none."""
 
     seconds: float = float("nan")
     sigma_s: float = float("nan")
@@ -47,8 +47,8 @@ class Offset:
 def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -> Offset:
     """The offset of ``second`` to ``first``.
 
-    Its sigma is that of a jackknife over blocks of what they share, or half of what the two halves of it differ by, if
-    that is more, and what interpolation adds. Refused where another offset fits nearly as well, or the halves
+    Its sigma is that of a jackknife over blocks of the shared time, or half the difference between its two halves, if
+    that is more, plus the part of interpolation. Refused if another offset fits nearly as well, or the halves
     contradict each other.
     """
     few = min(len(first.stamp_s), len(second.stamp_s))
@@ -68,18 +68,18 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     jackknife = float(np.sqrt((_BLOCKS - 1) * np.mean((left_out - left_out.mean()) ** 2)))
     sigma = float(np.hypot(max(jackknife, abs(apart) / 2), tuning.smoothing * step))
     if sigma > tuning.most_sigma * step:
-        return Offset(refused=f"its motion says {best:+.3f} s, but its halves differ by {abs(apart):.3f} s")
+        return Offset(refused=f"its motion gives {best:+.3f} s, but its halves differ by {abs(apart):.3f} s")
     begin, end = fine.shared(best)
     return Offset(best, sigma, end - begin)
 
 
 def _candidates(pair: _Pair, tuning: OffsetTuning) -> list[float]:
-    """The likeliest offsets, best first, each apart from the others, of all that leave enough to compare."""
+    """The likeliest offsets, best first, separated from each other, of all with enough common time."""
     offsets = pair.offsets(tuning.least_s)
     likelihood = np.array([pair.likelihood(o) for o in offsets])
     found: list[float] = []
     for k in np.argsort(-likelihood, kind="stable"):
-        if len(found) == 8:  # ... and offsets of it that are looked at in steps of a frame
+        if len(found) == 8:  # ... and offsets of it that are tested in steps of a frame
             break
         if all(abs(offsets[k] - f) > tuning.apart_steps * pair.step_s for f in found):
             found.append(float(offsets[k]))
@@ -87,7 +87,7 @@ def _candidates(pair: _Pair, tuning: OffsetTuning) -> list[float]:
 
 
 def _stands_out(pair: _Pair, candidates: list[float], reach_s: float, tuning: OffsetTuning) -> tuple[float, str]:
-    """The likeliest of some offsets, each looked at in quarters of steps about it; and why it is not to be believed."""
+    """The likeliest of some offsets, each refined in quarters of steps about it; and why it is unreliable."""
     if not candidates:
         return 0.0, f"the videos are shorter than the {tuning.least_s:g} s that are compared at least"
     around = pair.step_s / 4 * np.arange(-int(4 * reach_s / pair.step_s), int(4 * reach_s / pair.step_s) + 1)
@@ -111,7 +111,7 @@ def _information(covariance: np.ndarray, noise_px: float) -> float:
 
 
 class _Pair:
-    """The white motion of two videos in equal steps of time, for any offset between them."""
+    """The whitened motion of two videos in equal steps of time, for any offset between them."""
 
     def __init__(self, first: MotionCurve, second: MotionCurve, step_s: float, tuning: OffsetTuning) -> None:
         self.step_s, self._tuning = step_s, tuning
@@ -131,12 +131,12 @@ class _Pair:
         )
 
     def shared(self, offset_s: float) -> tuple[float, float]:
-        """First and last stamp of the first video that the second shows too."""
+        """First and last stamp of the first video within the second."""
         (a, b), (c, d) = self._ends
         return max(a, c + offset_s), min(b, d + offset_s)
 
     def likelihood(self, offset_s: float) -> float:
-        """Of an offset, by all that the videos share at it (nats); 0 where that is less than ``least_s``."""
+        """Of an offset, by the whole shared time (nats); 0 if that is less than ``least_s``."""
         begin, end = self.shared(offset_s)
         if end - begin < self._tuning.least_s:
             return 0.0
@@ -145,22 +145,23 @@ class _Pair:
         return len(moved) * _information(moved.T @ moved / len(moved), self._tuning.noise_px)
 
     def moved(self, first_s: np.ndarray, second_s: np.ndarray) -> np.ndarray:
-        """(n, 2 CHANNELS) motion of both a step, less what the step before foretells, at stamps (n + 2,) of each."""
+        """(n, 2 CHANNELS) motion of both per step, less the prediction from the step before, at stamps (n + 2,) of
+        each."""
         both = np.hstack([np.diff(s(t), axis=0) for s, t in zip(self._splines, (first_s, second_s))])
         white = both[1:] - self._colour * both[:-1]
         return white - white.mean(axis=0)
 
 
 def _autocorrelation(moved: np.ndarray) -> float:
-    """Of the next step, mean over the channels that move."""
+    """Autocorrelation with the next step, mean over the channels that move."""
     centred = moved - moved.mean(axis=0)
     power = np.sum(centred**2, axis=0)
     return float(np.sum(centred[1:] * centred[:-1] / np.where(power > 0, power, np.inf)) / CHANNELS)
 
 
 def _peaks(pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) -> Callable[[np.ndarray], float]:
-    """What gives the most likely offset, about a rough one, by some of the blocks (B,) of time: the top of a parabola
-    about the best one tried."""
+    """A function for the most likely offset near a rough one, by some of the blocks (B,) of time: the vertex of a
+    parabola about the best one tried."""
     count = int(np.ceil(12 * reach_s / pair.step_s))
     changes = pair.step_s / 12 * np.arange(-count, count + 1)  # offsets tried between two steps
     near_s = _NEAR_STEPS * pair.step_s
@@ -199,7 +200,7 @@ class Film:
 def films_together(
     films: Sequence[Film], rig: str | None, text: str | None, settings: ScanSettings, tuning: Tuning
 ) -> list[tuple[int, ...]]:
-    """Numbers of the films that were recorded together, the rig's first camera first; most often one alone.
+    """Numbers of the films that were recorded together, the rig's first camera first; usually a single one.
 
     ``rig`` and ``text`` as for ``assign``. Films of panoramas are no cameras of a rig. Raises InputError for a rig that
     does not fit.
@@ -221,9 +222,9 @@ def films_together(
 
 
 def offsets_given(folders: Sequence[str], settings: ScanSettings) -> dict[int, float]:
-    """Seconds of ``scan.video_offset`` by the number of the video, named as its folder or the last part of it.
+    """Seconds of ``scan.video_offset`` by the number of the video, named by its folder or the last part of it.
 
-    Raises InputError for a name that none or several have.
+    Raises InputError for a name of no or several videos.
     """
     found = {}
     for name, seconds in video_offsets(settings.video_offset).by_name.items():
@@ -239,8 +240,8 @@ def offsets_given(folders: Sequence[str], settings: ScanSettings) -> dict[int, f
 class MotionCurve:
     """Motion of the whole picture, summed up since the first frame.
 
-    Shift right and down, growth and turn about the middle, in pixels of the reduced picture at half its width from
-    the middle. A rigid rig's curves are linear in each other as far as its rotation makes them, which is most of it.
+    Shift right and down, scaling and rotation about the middle, in pixels of the reduced picture at half its width from
+    the middle. A rigid rig's curves are linear in each other for motion by its rotation, which is most of it.
     """
 
     stamp_s: np.ndarray  # (N,) of the frames, increasing

@@ -1,4 +1,4 @@
-"""When a video was recorded, and where: by the subtitles of a DJI drone beside it, by the fixes of the camera's own
+"""Time and place of a video: by the subtitles of a DJI drone beside it, by the fixes of the camera's own
 receiver in the file, by its container, or from its own start."""
 
 import re
@@ -28,7 +28,7 @@ _ZONES_S = (-12 * 3600.0, 14 * 3600.0)  # ... in this range
 
 @dataclass(frozen=True)
 class VideoClock:
-    """How the stamps of a video become times: ``start_s`` + stamp, seconds since 1970; not known: since the start."""
+    """From the stamps of a video to times: ``start_s`` + stamp, seconds since 1970; not known: since the start."""
 
     start_s: float = 0.0
     known: bool = False
@@ -38,13 +38,13 @@ class VideoClock:
     note: str = ""
 
     def taken(self, stamp_s: float) -> Taken:
-        """When and where the frame with a stamp was taken."""
+        """Time and place of the frame with a stamp."""
         place = self.places.place(stamp_s) if self.places is not None else Taken()
         return replace(place, time_s=self.start_s + stamp_s, utc=self.utc)
 
 
 def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> VideoClock:
-    """The clock of a video, what ``scan.video_offset`` says of all videos applied; never raises for a broken file."""
+    """The clock of a video, with ``scan.video_offset`` of all videos applied; never raises for a broken file."""
     name, file, told = clean(video.name), subtitles_of(video), video_offsets(settings.video_offset)
     subtitles = None if file is None else read_subtitles(file, settings.gnss_sigma_m)
     notes = [] if file is None or subtitles is None else subtitles.notes(clean(file.name))
@@ -64,7 +64,7 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
 
 
 def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning: PicturesTuning) -> VideoClock:
-    """The clock of a video whose fixes stand on its own clock; ``clock``: of its container, ``all_s`` later."""
+    """The clock of a video whose fixes are on its own clock; ``clock``: of its container, ``all_s`` later."""
     if np.isnan(telemetry.start_s):
         return replace(clock, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}")
     note, apart = telemetry.note, abs(clock.start_s - all_s - telemetry.start_s) / DAY_S
@@ -76,7 +76,7 @@ def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning:
 def _by_trailer(
     video: Path, clock: VideoClock, length_s: float, max_gap_s: float, tuning: PicturesTuning
 ) -> VideoClock:
-    """The clock of a video whose fixes, if it has some, have times in UTC and no stamps."""
+    """The clock of a video whose fixes, if any, have times in UTC and no stamps."""
     try:
         readings = read_trailer(video)
     except (BrokenTrack, OSError) as error:
@@ -99,7 +99,7 @@ def _by_trailer(
 
 
 def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesTuning) -> float | None:
-    """Seconds to add to the start of a recording so that it is UTC, by its fixes; None if no time zone makes them
+    """Seconds to add to the start of a recording to get UTC, by its fixes; None if no time zone makes them
     those of the recording."""
     if not len(fixes) or not clock.known:
         return None
@@ -113,11 +113,11 @@ def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesT
 
 
 def _container(video: Path, told: VideoOffsets) -> tuple[VideoClock, float]:
-    """The clock that the header of a file has, and the length of the recording (s)."""
+    """The clock in the header of a file, and the length of the recording (s)."""
     time_s, length_s = _created(video) or (0.0, 0.0)
     if not RECORDED_RANGE_S[0] <= time_s <= RECORDED_RANGE_S[1]:
-        remedy = "--scan.video-offset says when it began (seconds since 1970)"
-        said = f"it does not say when it was recorded: its times count from its start; {remedy}"
+        remedy = "--scan.video-offset gives its start (seconds since 1970)"
+        said = f"it has no recording time: its times count from its start; {remedy}"
         return VideoClock(told.all_s, known=told.all_s != 0, note=said), length_s
     start = time_s - (length_s if told.from_end else 0.0)
     doubt = "which has whole seconds and may be local or that of its end (--scan.video-offset SECONDS, or end)"
@@ -169,20 +169,20 @@ class Subtitles:
     stamp_s: np.ndarray  # (R,)
     lat_lon_height: np.ndarray
     start_s: float  # of the video, seconds since 1970 in the drone's zone; NaN = no dates
-    sigma_m: float  # NaN = finer than what a receiver is taken for
+    sigma_m: float  # NaN = finer than the default of a receiver
 
     def place(self, stamp_s: float) -> Taken:
-        """Where the frame with a stamp was taken: by the last row that began before it."""
+        """Place of the frame with a stamp: by the last row that began before it."""
         row = int(np.searchsorted(self.stamp_s, stamp_s + 1e-3, side="right")) - 1
         lat, lon, height = (float(v) for v in self.lat_lon_height[max(row, 0)])
         return Taken(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=self.sigma_m)
 
     def notes(self, name: str) -> list[str]:
-        """What a person should know of the file of a name."""
+        """Notes on the file of a name."""
         placed = int(np.isfinite(self.lat_lon_height[:, 0]).sum())
         rows = f"{name}: {placed} of {len(self.stamp_s)} rows have a position"
         if np.isnan(self.start_s):
-            return [f"{rows}, none a date"]
+            return [f"{rows}, none has a date"]
         return [f"{rows}; the video begins at {date_text(self.start_s)} in the drone's own clock and zone"]
 
 
@@ -192,7 +192,7 @@ def subtitles_of(video: Path) -> Path | None:
 
 
 def read_subtitles(file: Path, receiver_sigma_m: float) -> Subtitles | None:
-    """Rows of a drone's subtitles; None if it is a file of other subtitles, or cannot be read."""
+    """Rows of a drone's subtitles; None if it has other subtitles, or cannot be read."""
     try:
         text = regular(file, _MOST_BYTES).read_text("utf-8", errors="replace")
     except OSError:

@@ -24,7 +24,7 @@ _CRS = re.compile(r"(?i)EPSG:\d+(?:\+\d+)?$|\+(?:proj|init)=|WGS\s*84\s*UTM\s*\d
 _GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
 _SEA = re.compile("msl|asl|geoid|ortho|egm|navd|標高")  # in the name or unit of heights above the sea
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
-_LEVEL_DEG = 20.0  # a body tilted by more has no heading that a table of yaw, pitch and roll gives by its yaw alone
+_LEVEL_DEG = 20.0  # for a body tilted by more, yaw in a table of yaw, pitch and roll is no heading
 
 
 def read_columns(path: Path, raw: bytes) -> Gnss:
@@ -94,7 +94,7 @@ def _fixes(table: Table, crs: pyproj.CRS | None) -> Gnss:
 def _places(
     table: Table, crs: pyproj.CRS | None, missing: list[str], notes: list[str]
 ) -> tuple[np.ndarray, dict[str, int | None]]:
-    """(R, 3) latitude, longitude, height, and the columns they stand in, the first three in this order."""
+    """(R, 3) latitude, longitude, height, and their columns, the first three in this order."""
     grid = crs if crs is not None and table.find("easting") is not None else None
     roles = ["latitude", "longitude", "height"] if grid is None else ["easting", "northing", "height"]
     if grid is None and table.find("ellipsoidal height") is not None:
@@ -140,7 +140,7 @@ def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
 
 
 def _image(table: Table) -> int | None:
-    """The column of images: one that is called so; one of names or labels if these are files, or there are no times."""
+    """The column of images: one with that name; one of names or labels if these are files, or there are no times."""
     column = table.find("name")
     files = is_file(table.cell(0, column))
     found = table.find("image")
@@ -148,13 +148,13 @@ def _image(table: Table) -> int | None:
 
 
 def _worst(table: Table, row: int) -> int | None:
-    """The column whose accuracy says that a row has no position."""
+    """The column whose accuracy shows that a row has no position."""
     found = [c for c in (table.find(s) for s in SIGMAS) if c is not None]
     return next((c for c in found if table.metres(c)[row] > SIGMA_RANGE_M[1]), None)
 
 
 def _sigma(table: Table, notes: list[str]) -> np.ndarray:
-    """(R, 3) sigmas in metres, NaN = not given; one that is too large stays, and tells that there is no position."""
+    """(R, 3) sigmas in metres, NaN = not given; one that is too large stays, and marks a row without a position."""
 
     def column(role: str) -> np.ndarray:
         found = table.find(role)
@@ -168,17 +168,17 @@ def _sigma(table: Table, notes: list[str]) -> np.ndarray:
 
 
 def _heading(table: Table, notes: list[str]) -> tuple[np.ndarray, dict[str, int | None]]:
-    """(R,) headings, and the columns that they are told by."""
+    """(R,) headings, and their columns."""
     found = table.find("heading")
     values = table.angles(found)
-    lat = table.find("latitude")  # may be called phi
+    lat = table.find("latitude")  # its name may be phi
     tilted = [k for k, c in enumerate(table.columns) if k != lat and set(c.split("_")) & set(_TILT)]
     if found is not None and tilted:
         most = max(float(np.nanmax(np.abs((table.angles(k) + 180) % 360 - 180), initial=0)) for k in tilted)
         if most > _LEVEL_DEG:
             notes.append(
                 f"{table.path.name}: {', '.join(table.columns[k] for k in (found, *tilted))}: cameras tilted by up to "
-                f"{most:.0f} degrees: these angles are passed over, the images tell the attitudes"
+                f"{most:.0f} degrees: these angles are not used, the images give the attitudes"
             )
             return np.full(len(values), np.nan), {}
     good = _believed(table, found, values, np.abs(values) <= 360, notes, "no angle in degrees: not used")
@@ -188,7 +188,7 @@ def _heading(table: Table, notes: list[str]) -> tuple[np.ndarray, dict[str, int 
 def _believed(
     table: Table, column: int | None, values: np.ndarray, good: np.ndarray, notes: list[str], remedy: str
 ) -> np.ndarray:
-    """(R,) values that are good, NaN for the others; those that are neither good nor empty are said."""
+    """(R,) values that are good, NaN for the others; those that are neither good nor empty are noted."""
     if column is None:
         return values
     odd = [k for k in np.flatnonzero(~good).tolist() if table.cell(k, column).lower() not in EMPTY]

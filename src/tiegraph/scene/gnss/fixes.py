@@ -1,4 +1,4 @@
-"""Positions of a receiver: which rows of a file can be used, and what they are among each other, for every format."""
+"""Positions of a receiver: which rows of a file can be used, and their mutual consistency, for every format."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,32 +13,32 @@ from tiegraph.scene.table import some_lines
 from tiegraph.scene.times import DATED_S, in_time_order, laid_on
 from tiegraph.scene.tuning import GnssTuning
 
-# What a row cannot mean:
+# Limits of the values of a row:
 HEIGHTS_M = (-500.0, 9000.0)  # from the lowest shore to the highest mountain
-SIGMA_RANGE_M = (1e-4, 1000.0)  # below, no receiver; above, a receiver that has no position
+SIGMA_RANGE_M = (1e-4, 1000.0)  # below, no receiver; above, a receiver without a position
 EMPTY = ("", "nan", "none", "null")
 _NO_FIX = "position 0, 0"
 _ANGLES = ("latitude", "longitude", "height")
-_Faults = list[tuple[str, np.ndarray]]  # what makes rows useless, and (R,) which
+_Faults = list[tuple[str, np.ndarray]]  # reasons why rows are useless, and (R,) which
 
 
 @dataclass(frozen=True)
 class Gnss:
-    """G rows of a file as its reader gives them; ``judged``: those that can be used, in time order if they have times.
+    """G rows of a file from its reader; ``judged``: the usable ones, in time order if they have times.
 
     NaN = not given or no number. Not interpolated.
     """
 
     path: Path
-    line: Sequence[int]  # of the file each row stands in; in a binary one, its record
+    line: Sequence[int]  # of the file, for each row; in a binary one, its record
     lat_lon_height: np.ndarray  # (G, 3) degrees, degrees, metres above the ellipsoid
     time_s: np.ndarray  # (G,) f8; NaN if the rows are by image
     names: Sequence[str] = ()  # image names, "#12" for the image with that number, or empty
     sigma_m: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))  # (G, 3) east, north, up
     heading_deg: np.ndarray = field(default_factory=lambda: np.array(np.nan))  # (G,) of the body, clockwise from north
     notes: Sequence[str] = ()
-    period_s: float = 0.0  # times count within a day (UTC) or a GPS week that nothing names; 0 = from an epoch
-    text: Callable[[int, str], str] | None = None  # what stands in a row for "latitude", "time" ...; else the number
+    period_s: float = 0.0  # times count within a day (UTC) or an unnamed GPS week; 0 = from an epoch
+    text: Callable[[int, str], str] | None = None  # the text of a row for "latitude", "time" ...; else the number
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma_m", np.broadcast_to(self.sigma_m, (len(self.line), 3)))
@@ -83,19 +83,19 @@ def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGH
 
 
 def above_ellipsoid(path: Path, above_sea_m: np.ndarray, undulation_m: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """(R,) heights above the ellipsoid of heights above the sea and undulations, and what to say where none is given.
+    """(R,) heights above the ellipsoid of heights above the sea and undulations, and a note if none is given.
 
     Rows without an undulation among others have that of the others: it changes by centimetres a kilometre.
     """
     known = np.isfinite(undulation_m)
     if known.any():
         return above_sea_m + np.where(known, undulation_m, np.median(undulation_m[known])), []
-    note = "heights above the sea, taken as they are: those above the ellipsoid differ by the undulation of the geoid"
+    note = "heights above the sea, used unchanged: those above the ellipsoid differ by the undulation of the geoid"
     return above_sea_m, [f"{Path(path).name}: {note}"]
 
 
 def beyond(heights_m: tuple[float, float]) -> str:
-    """What to say of heights that are not within those that are believed."""
+    """A note on heights outside the plausible range."""
     within = " to ".join(f"{h:g}" for h in heights_m)
     return f"not within {within} m: in another unit? Write metres, or give the range as --scan.heights-m"
 
@@ -131,7 +131,7 @@ def _first(fixes: Gnss, faults: _Faults, heights_m: tuple[float, float]) -> str:
 
 
 def _hint(llh: np.ndarray) -> str:
-    """What latitudes out of range look like."""
+    """The likely cause of latitudes out of range."""
     lat, lon = (np.nanmax(np.abs(v), initial=0) for v in llh[:, :2].T)
     if 90 < lat <= 360 and lon <= 90:
         return "; lat and lon look exchanged"
@@ -156,10 +156,10 @@ def _refuse_radians(fixes: Gnss) -> None:
 
 
 def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> tuple[np.ndarray, str]:
-    """(N,) which of some positions (N, 3) not to use, as they are far from the rest, and what to say.
+    """(N,) which of some positions (N, 3) are not used, as they are far from the rest, and a note.
 
-    ``where`` names each position. They are used, though said, if they are more than a share of ``most`` (of two, one):
-    which are right is then not clear.
+    ``where`` names each position. They are used, but noted, if they are more than a share of ``most`` (of two, one):
+    which are right is then undecided.
     """
     far, away = far_from_rest(lat_lon_height)
     if not far.any():
@@ -168,13 +168,13 @@ def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> t
     lat, lon, _ = lat_lon_height[row]
     note = f"{where[row]}: lat {lat:.6f}, lon {lon:.6f} lies {away[row] / 1000:.0f} km from most of the others"
     if far.sum() > max(1, most * len(far)) or len(far) < 3:
-        note += f", as {far.sum()} of {len(far)} positions do: are these two surveys? Split them, or mend the positions"
+        note += f", as {far.sum()} of {len(far)} positions do: two surveys? Split them, or correct the positions"
         return np.zeros(len(far), bool), note
-    return far, note + f": {far.sum()} of {len(far)} positions are not used; mend or remove them"
+    return far, note + f": {far.sum()} of {len(far)} positions are not used; correct or remove them"
 
 
 def one_place_an_image(gnss: Gnss) -> Gnss:
-    """A file by image without rows that say the same again. Raises InputError for an image at two places."""
+    """A file by image without repeated rows. Raises InputError for an image at two places."""
     first: dict[str, int] = {}
     again = []
     for k, name in enumerate(gnss.names):
@@ -184,35 +184,35 @@ def one_place_an_image(gnss: Gnss) -> Gnss:
         if not np.allclose(gnss.lat_lon_height[k], gnss.lat_lon_height[other], rtol=0, atol=(1e-8, 1e-8, 1e-3)):
             raise InputError(
                 f"{gnss.path}, line {gnss.line[k]}: image {name!r} has another place than in line {gnss.line[other]}: "
-                "leave the right one"
+                "keep the right one"
             )
         again.append(k)
     if not again:
         return gnss
     image = f"{gnss.path.name}, line {gnss.line[again[0]]}: image {gnss.names[again[0]]!r}"
-    note = f"{image} stands there twice, at one place; {len(again)} rows left out"
+    note = f"{image} is listed twice, at one place; {len(again)} rows left out"
     return gnss.only(np.setdiff1d(np.arange(len(gnss.names)), again), note)
 
 
 def without_far(gnss: Gnss, most: float) -> Gnss:
-    """A file without positions that stand far apart from the others, as ``far_rows`` says."""
+    """A file without positions far from the others, as in ``far_rows``."""
     far, note = far_rows(gnss.lat_lon_height, [f"{gnss.path.name}, line {n}" for n in gnss.line], most)
     return gnss.only(np.flatnonzero(~far), note) if note else gnss
 
 
 def stuck_note(lat_lon_height: np.ndarray, where: str, least: int) -> str:
-    """What to say if some positions (N, 3), the ``least`` number of them, are one and the same; else ""."""
+    """A note if some positions (N, 3), at least ``least``, are all the same; else ""."""
     if len(lat_lon_height) < least or np.ptp(lat_lon_height, axis=0).max() > 0:
         return ""
     lat, lon, height = lat_lon_height[0]
     return (
-        f"{where}: all {len(lat_lon_height)} positions are lat {lat:.6f}, lon {lon:.6f}, height {height:g} m, and tell "
+        f"{where}: all {len(lat_lon_height)} positions are lat {lat:.6f}, lon {lon:.6f}, height {height:g} m, and give "
         "neither scale nor direction: was there a fix?"
     )
 
 
 def on_clock_of(gnss: Gnss, time_s: np.ndarray) -> Gnss:
-    """Rows on the clock of frames (F,), as ``times.laid_on`` says."""
+    """Rows on the clock of frames (F,), as in ``times.laid_on``."""
     if gnss.names:
         return gnss
     moved, note = laid_on(gnss.time_s, gnss.period_s, time_s)
@@ -228,7 +228,7 @@ def step_of(time_s: np.ndarray) -> float:
 
 
 def moved_within(time_s: np.ndarray, world_m: np.ndarray, step_s: float) -> np.ndarray:
-    """(G, 3) metres, root mean square, that rows (G, 3) move within a time that was cut to ``step_s``."""
+    """(G, 3) metres, root mean square, by which rows (G, 3) move within a time rounded to ``step_s``."""
     if not step_s or len(time_s) < 2:
         return np.zeros_like(world_m)
     return np.abs(np.gradient(world_m, time_s, axis=0)) * step_s / np.sqrt(3)

@@ -1,7 +1,7 @@
-"""Positions with sigmas, as other programs compute them: RTKLIB's .pos, Applanix' SBET, DJI's MRK and ROS's fixes.
+"""Positions with sigmas from other programs: RTKLIB's .pos, Applanix' SBET, DJI's MRK and ROS's fixes.
 
-**RTKLIB** (manual 2.4.2, B.1): columns and time scale as the header names them. Places are lat, lon, height or ECEF; a
-baseline from a station whose place the file does not say is refused. Times are dates or week and seconds, of GPS time,
+**RTKLIB** (manual 2.4.2, B.1): columns and time scale by the header. Places are lat, lon, height or ECEF; a
+baseline from a station without stated coordinates is refused. Times are dates or week and seconds, of GPS time,
 UTC or JST.
 
 **SBET**, smoothed best estimate of trajectory (Applanix POSPac, also written by other INS software): 17 doubles a
@@ -11,8 +11,8 @@ header.
 
 **DJI's Timestamp.MRK**, beside the images of a drone with RTK: a row an image, at the centre of its sensor.
 ``number, seconds of the week, [week], offsets of the antenna (mm) N, E, V, Lat, Lon, Ellh, sigmas N, E, up (m), Q``
-(DJI, Phantom 4 RTK; Matrice 4 user manual): the position has been moved from the antenna to the image already. Images
-are meant by the last number in their names, DJI_0012.JPG or DJI_20240501120000_0012_V.JPG.
+(DJI, Phantom 4 RTK; Matrice 4 user manual): the position is already moved from the antenna to the image. Images
+are identified by the last number in their names, DJI_0012.JPG or DJI_20240501120000_0012_V.JPG.
 
 **ROS's sensor_msgs/NavSatFix** in a bag: the height is above the ellipsoid, the covariance that of east, north and up.
 """
@@ -40,7 +40,7 @@ _QUALITY = {1: "fixed", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP"}
 
 @dataclass(frozen=True)
 class _Header:
-    """Time scale, columns after the time, and whether degrees stand as degrees, minutes and seconds."""
+    """Time scale, columns after the time, and whether degrees are written as degrees, minutes and seconds."""
 
     line: int
     scale: str
@@ -48,12 +48,12 @@ class _Header:
     sexagesimal: bool
 
     def find(self, *names: str) -> list[int]:
-        """Columns by name; those that are not there are left out."""
+        """Columns by name; missing ones are left out."""
         return [self.columns.index(n) for n in names if n in self.columns]
 
 
 def is_rtklib(text: str, raw: bytes) -> bool:
-    """Whether the header of a solution stands in the first lines of a file."""
+    """Whether the header of a solution is in the first lines of a file."""
     return bool(_ANY_HEADER.search(text))
 
 
@@ -61,7 +61,7 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
     """Rows of a solution with their standard deviations.
 
     Raises InputError, with the line, for baselines, another datum than WGS84, rows of more columns than the header, and
-    weeks that are none.
+    invalid weeks.
     """
     text, notes = decoded(path, raw, "GNSS file")
     lines = [(n, line.strip()) for n, line in enumerate(text_lines(text), start=1) if line.strip()]
@@ -78,7 +78,7 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
             f"{path}, line {long[0]}: {len(long[1])} columns, but the header in line {header.line} names {width}: are "
             "these two solutions in one file? Give one"
         )
-    whole = [cells if len(cells) == width else [] for _, cells in rows]  # a line that is cut off has cut off numbers
+    whole = [cells if len(cells) == width else [] for _, cells in rows]  # numbers in a cut-off line are cut off
     table = np.array([_numbers(cells[2:], header) for cells in whole])
     llh, axes = _places(table, header)
     time_s = np.array([_time(path, n, cells) for (n, _), cells in zip(rows, whole)])
@@ -106,7 +106,7 @@ def _header(path: Path, comments: list[tuple[int, str]]) -> _Header:
     scale, *columns = _SPLIT.split(line.lstrip("% "))
     if columns[0].startswith("e-baseline"):
         raise InputError(
-            f"{path}, line {n}: baselines (east, north, up) from a base whose place the rows do not give: write the "
+            f"{path}, line {n}: baselines (east, north, up) from a base without coordinates in the rows: write the "
             "solution as lat/lon/height (out-solformat = llh)"
         )
     names = tuple(re.sub(r"\(.*", "", c).lower() for c in columns)
@@ -120,13 +120,13 @@ def _header(path: Path, comments: list[tuple[int, str]]) -> _Header:
 
 
 def _heights(path: Path, comments: list[tuple[int, str]]) -> list[str]:
-    """What to say of the heights. Raises InputError for another datum than WGS84."""
+    """A note on the heights. Raises InputError for another datum than WGS84."""
     for n, line in comments:
         found = re.search(r"lat/lon/height=([\w-]+)(?:/(\w+))?", line)
         if found and found[1] != "WGS84":
             raise InputError(f"{path}, line {n}: positions on the datum {found[1]}: write the solution on WGS84")
         if found and found[2] == "geodetic":
-            return [f"{path.name}: heights above the geoid (out-height = geodetic), taken as they are"]
+            return [f"{path.name}: heights above the geoid (out-height = geodetic), used unchanged"]
     return []
 
 
@@ -146,7 +146,7 @@ def _degrees(cells: list[str]) -> float:
 
 
 def _places(table: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarray | None]:
-    """(R, 3) lat, lon, height, and of ECEF the axes east, north, up (R, 3, 3) there."""
+    """(R, 3) lat, lon, height, and for ECEF the axes east, north, up (R, 3, 3) there."""
     if header.columns[0] == "latitude":
         return table[:, header.find("latitude", "longitude", "height")], None
     xyz = table[:, header.find("x-ecef", "y-ecef", "z-ecef")]
@@ -182,7 +182,7 @@ def _time(path: Path, n: int, cells: list[str]) -> float:
 
 _FIELDS = 17
 _RECORD = 8 * _FIELDS
-_ENOUGH_S = 0.05  # between rows: what carries a camera leaves a straight line by millimetres in that time
+_ENOUGH_S = 0.05  # between rows: the carrier of a camera leaves a straight line by millimetres in that time
 _STEP_S = 10.0  # between two records, at most; they are written some 200 times a second
 
 
@@ -197,7 +197,7 @@ def is_sbet(text: str, raw: bytes) -> bool:
         np.all((time >= 0) & (time <= 2 * WEEK_S))
         and np.all((np.abs(lat) <= np.pi / 2) & (np.abs(lon) <= 2 * np.pi))
         and np.all((steps > 0) & (steps <= _STEP_S))
-        and np.any(np.abs(records[:, 1:3]) > 1e-6)  # numbers, not the tiny ones that other bytes look like
+        and np.any(np.abs(records[:, 1:3]) > 1e-6)  # not the tiny numbers that other bytes give
     )
 
 
@@ -207,7 +207,7 @@ def _records(raw: bytes) -> np.ndarray:
 
 
 def read_sbet(path: Path, raw: bytes) -> Gnss:
-    """Records of an SBET file; the week is that of the frames. Raises InputError for one that is cut off."""
+    """Records of an SBET file; the week is that of the frames. Raises InputError for a cut-off file."""
     if len(raw) % _RECORD:
         raise InputError(
             f"{path}: {len(raw)} bytes are no whole records of {_RECORD} bytes: the SBET file is cut off; copy it again"
@@ -221,7 +221,7 @@ def read_sbet(path: Path, raw: bytes) -> Gnss:
     llh[:, :2] = np.degrees(llh[:, :2])
     thinned = f"; of its records one in {every} is used" if every > 1 else ""
     notes = [
-        f"{path.name}: an SBET file has seconds of the GPS week and no week: that of the frames' times (UTC) is taken; "
+        f"{path.name}: an SBET file has seconds of the GPS week and no week: that of the frames' times (UTC) is used; "
         f"its angles are not used{thinned}"
     ]
     return Gnss(path=path, line=line, lat_lon_height=llh, time_s=records[:, 0], notes=notes, period_s=WEEK_S)
@@ -242,7 +242,7 @@ def read_mrk(path: Path, raw: bytes) -> Gnss:
     """Rows of a Timestamp.MRK, named "#<number>"; those without a position (Q 0; 16 is single, 34 float, 50 fixed) are
     empty.
 
-    Raises InputError, with the line, for a row that is none.
+    Raises InputError, with the line, for an invalid row.
     """
     text, notes = decoded(path, raw, "GNSS file")
     lines = [(n, line) for n, line in enumerate(text_lines(text), start=1) if line.strip()]
@@ -274,9 +274,9 @@ KINDS = ("sensor_msgs/NavSatFix",)
 
 
 def read_navsat(path: Path) -> Gnss:
-    """The fixes of a bag's only topic of such, or of the one behind the path; a line is the number of a message.
+    """The fixes of a bag's only topic of fixes, or of the one behind the path; a line is the number of a message.
 
-    Raises InputError for several topics, none, a damaged bag, and where no message has a fix.
+    Raises InputError for several topics, none, a damaged bag, and if no message has a fix.
     """
     bag_path, asked = split_topics(path)
     rows, lines, lost = [], [], 0

@@ -1,11 +1,10 @@
-"""Tracks that receivers and telephones write: sentences of NMEA 0183, GPX, KML.
+"""Tracks of receivers and telephones: sentences of NMEA 0183, GPX, KML.
 
-**NMEA**: GGA has place and time of day, RMC or ZDA the date, GST the standard deviations. Other sentences, and the
-binary messages that receivers write between them, are passed over; damaged sentences are told by their checksums and
-said.
+**NMEA**: GGA has place and time of day, RMC or ZDA the date, GST the standard deviations. Other sentences, and
+binary messages between them, are skipped; damaged sentences are recognised by their checksums and noted.
 
 **GPX** tracks, **KML** tracks (gx:Track) and KML placemarks named as images, packed (KMZ) or not. Heights of both are
-above the sea by their specifications, in GPX with the undulation (geoidheight) where a program writes it. Times are
+above the sea by their specifications, in GPX with the undulation (geoidheight) if a program writes it. Times are
 UTC.
 """
 
@@ -32,7 +31,7 @@ _FIXES = {"1": "single", "2": "differential", "3": "PPS", "4": "RTK fixed", "5":
 _NAN = float("nan")
 
 
-_BY_WORTH = "0876129354"  # kinds of fix, the best last: PPS is what some receivers call PPP
+_BY_WORTH = "0876129354"  # kinds of fix, the best last: some receivers write PPS for PPP
 
 
 def _rank(cells: list[str]) -> int:
@@ -41,7 +40,7 @@ def _rank(cells: list[str]) -> int:
 
 @dataclass
 class _Log:
-    """What the sentences of a file say, in their order."""
+    """The contents of a file's sentences, in their order."""
 
     rows: list[tuple[int, list[str]]] = field(default_factory=list)  # line and cells of a GGA
     dates: list[tuple[int, float, float]] = field(default_factory=list)  # rows before it, second of the day, its day
@@ -72,19 +71,19 @@ class _Log:
             self.sigma[row] = [east, north, up]
 
     def date(self, time: str, day: str) -> None:
-        """``day`` as ddmmyyyy; what is none counts as not there."""
+        """``day`` as ddmmyyyy; an invalid one counts as missing."""
         second, midnight = _second(time), seconds_of(day, "%d%m%Y")
         if second == second and midnight == midnight:
             self.dates.append((len(self.rows), second, midnight))
 
 
 def is_nmea(text: str, raw: bytes) -> bool:
-    """Whether sentences of positions stand in the first bytes of a file."""
+    """Whether sentences of positions are in the first bytes of a file."""
     return bool(_TOLD.search(raw))
 
 
 def read_nmea(path: Path, raw: bytes) -> Gnss:
-    """The GGA sentences of a log; heights are above the ellipsoid by the undulation that they give.
+    """The GGA sentences of a log; heights are above the ellipsoid by their own undulation.
 
     Without RMC and ZDA times are those of the day. Raises InputError for no GGA, none that is whole, and heights that
     are not in metres.
@@ -131,7 +130,7 @@ def read_nmea(path: Path, raw: bytes) -> Gnss:
 def _read(raw: bytes) -> _Log:
     lines = re.split(rb"\r\n|\r|\n", raw)
     found = [(n, m) for n, line in enumerate(lines, start=1) if b"$" in line and (m := _SENTENCE.search(line))]
-    summed = any(m[3] for _, m in found)  # a receiver writes checksums or does not
+    summed = any(m[3] for _, m in found)  # a receiver writes checksums always or never
     void: list[tuple[str, str]] = []
     log = _Log()
     for n, match in found:
@@ -247,7 +246,7 @@ def read_gpx(path: Path, raw: bytes) -> Gnss:
         )
     if not any(p.said("time") for p in points):
         raise InputError(
-            f"{path}, line {points[0].line}: no track point has a time, so nothing says which image was taken there: "
+            f"{path}, line {points[0].line}: no track point has a time, so they cannot be assigned to images: "
             "export the track with times"
         )
     above_sea, undulation = (np.array([number(p.said(n)) for p in points]) for n in ("ele", "geoidheight"))
@@ -264,17 +263,17 @@ def read_gpx(path: Path, raw: bytes) -> Gnss:
 
 
 def read_kml(path: Path, raw: bytes) -> Gnss:
-    """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
+    """Rows of gx:Track (when, coord), or placemarks of points with names of images or a TimeStamp.
 
-    Raises InputError for damaged XML or KMZ, heights above the ground, a track of other times than places, and for
-    nothing of the kind.
+    Raises InputError for damaged XML or KMZ, heights above the ground, a track of other times than places, and if
+    there is neither.
     """
     root = parse_xml(path, _unpacked(path, raw) if _is_kmz(raw) else raw)
     for mode in root.all("altitudeMode"):
         if mode.text.strip() == "relativeToGround":
             raise InputError(
-                f"{path}, line {mode.line}: heights above the ground (relativeToGround) place nothing: export absolute "
-                "altitudes"
+                f"{path}, line {mode.line}: heights above the ground (relativeToGround) cannot be used: export "
+                "absolute altitudes"
             )
     whens, places = [], []
     for track in root.all("Track"):
