@@ -70,7 +70,7 @@ def test_each_shot_becomes_a_metric_cloud(tmp_path):
 def test_a_rig_without_calibration_is_refused(tmp_path):
     with refused("intrinsics are unknown"):
         opened(tmp_path / "side", 1, calibrated=False).shots(0.5, 1.2)
-    with refused("a hangs on the rig, but its lens is not calibrated"):
+    with refused("a depends on the rig, but its lens is not calibrated"):
         opened(tmp_path / "wide", 1, calibrated=False, wide="b").run("scan")
     assert not (tmp_path / "wide" / "out" / "scene.json").exists()
 

@@ -81,7 +81,7 @@ def test_misuse_and_pages_of_others(runs: list[Path], tmp_path: Path) -> None:
         (runs[:1], None, "at least two"),
         ([runs[0], tmp_path / "none"], None, "no such run folder"),
         (runs, tmp_path / "file" / "x.html", "cannot write"),
-        (runs, page, "compare.html is there"),
+        (runs, page, "compare.html exists"),
     ):
         with refused(words):
             compare_runs(folders, target)

@@ -241,7 +241,7 @@ def test_the_check_finds_what_it_is_for(full: Path, page: str) -> None:
 def test_the_terminal_says_what_the_page_says(full: Path) -> None:
     lines = accuracy.terminal_lines(full / "metrics.json")
     assert [line.split()[0] for line in lines] == ["Tolerance", "In", "In", "Of"]
-    assert lines[0].startswith("Tolerance of 5.0 cm in the world: no. Reason: 3 check points measured more. What would")
+    assert lines[0].startswith("Tolerance of 5.0 cm in the world: no. Reason: 3 check points measured more. Remedy: ")
     assert (
         "predicted 2.58 m for a point of the cloud" in lines[1]
         and "Measured 6.2 cm (a check point) by 3 check points" in lines[1]

@@ -211,7 +211,7 @@ def test_an_mrk_names_its_images_by_number(tmp_path: Path, name: str) -> None:
 def test_an_mrk_of_two_flights_is_refused(tmp_path: Path) -> None:
     images = drone(tmp_path / "in", [f"{f}/DJI_{k:04d}.JPG" for f in ("one", "two") for k in range(1, 4)])
     (tmp_path / "a.MRK").write_text(mrk(3))
-    with refused("a.MRK, line 1: image 1 may be one/DJI_0001.JPG or two/DJI_0001.JPG: give the"):
+    with refused("a.MRK, line 1: image 1 can be one/DJI_0001.JPG or two/DJI_0001.JPG: give the"):
         scan(images, ScanSettings(layout="loose"), gnss=tmp_path / "a.MRK")
 
 

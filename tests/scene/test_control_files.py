@@ -332,7 +332,7 @@ def test_control_files_that_cannot_be_meant_say_where(tmp_path, text: str | byte
         (POINTS, "name,image,px,py\nC,1.jpg,5,6\n", r"marks.csv, line 2: a mark of point 'C', which .* in gcp.csv"),
         (POINTS, "name,image,px,py\nA,1.jpg,five,6\n", r"marks.csv, line 2: 'five' is no number"),
         (POINTS + MARKS, MARKS, r"both contain marks; omit --marks"),
-        (POINTS, POINTS, r"both hold points"),
+        (POINTS, POINTS, r"both contain points"),
     ],
 )
 def test_two_files_that_do_not_go_together(tmp_path, text: str, more: str, words: str) -> None:

@@ -101,7 +101,7 @@ def test_damaged_and_empty_files_say_what_to_do(tmp_path: Path) -> None:
         ("a.xyz", "a.xyz: clouds are read from .las, .laz, .ply or .e57: convert it"),
         ("broken.laz", "broken.laz: not a readable point cloud"),
         ("text.ply", "text.ply: .* no PLY file by its content"),
-        ("empty.las", "empty.las: its header says 0 points"),
+        ("empty.las", "empty.las: its header announces 0 points"),
     ):
         with refused(words):
             open_cloud(tmp_path / name)

@@ -156,7 +156,7 @@ def test_only_wide_images_carry():
     assert [s.name for s in part.rigs[0].sensors] == ["wide"]
     assert carries(scene).sum() == 2 and len(scene) == 8
     said = part.notes[-1]
-    assert "6 images of a, b hang on the rig" in said and "1 frames lack a wide image" in said
+    assert "6 images of a, b get poses by the rig" in said and "1 frames lack a wide image" in said
     assert carrying(part) is part
     alike = with_sensor(scene, 0, role="side")
     assert carrying(alike) is alike and carries(alike).all()
@@ -165,8 +165,8 @@ def test_only_wide_images_carry():
 @pytest.mark.parametrize(
     "scene, what",
     [
-        (with_sensor(survey(), 1, sensor_from_rig=None), "a hangs on the rig, but its place against wide is unknown"),
-        (with_sensor(survey(), 2, camera=None), "b hangs on the rig, but its lens is not calibrated"),
+        (with_sensor(survey(), 1, sensor_from_rig=None), "a depends on the rig, but its pose relative to wide is unknown"),
+        (with_sensor(survey(), 2, camera=None), "b depends on the rig, but its lens is not calibrated"),
         (survey(nominal=True), "but it is nominal: calibrate the rig"),
     ],
 )

@@ -229,7 +229,7 @@ WRONG = [
     ("image,lat,lat_ref,lon,height\na.jpg,33.5,E,70.25,40\n", "g.txt, line 2: lat_ref 'E' is not N or S"),
     ("a.jpg,46.5,6.5,539.9\nb.jpg,46.6,6.5,540\n", "line 1: neither a header nor .* such as .*image,lat,lon,height"),
     ("image,lat,lon,height\na.jpg;46,5;6,5;539,9\n", "none of 1 rows|fewer cells"),
-    ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' may be 1.234 or 1234: write numbers"),
+    ("image;lat;lon;height\na.jpg;46.5;6.5;1,234\n", "line 2: '1,234' can be 1.234 or 1234: write numbers"),
     ("image,lat,lon,height (fathoms)\na.jpg,46.5,6.5,5\n", "column 'height' has lengths in 'fathoms': give m, cm"),
     ("image,lat,lon,height,half\na.jpg,46.5,6.5,5,S\n", r"column 'half' has halves of the Earth \(S\), .* lat_ref"),
     ("image,lat [gon],lon [gon],height\na.jpg,46.5,6.5,5\n", "column 'lat' is in gon: write degrees"),
