@@ -19,7 +19,7 @@ const VERTEX = `
   void main() {
     vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
     gl_Position = projectionMatrix * mvPosition;
-    gl_PointSize = clamp(1.6 * size * spacing * perUnit / -mvPosition.z, 1.5, 24.0);
+    gl_PointSize = clamp(1.6 * size * spacing * perUnit / -mvPosition.z, 1.5, 9.0);
     float value = look == 1 ? position.z : look == 2 ? sigma : views;
     float share = (value - range.x) / max(range.y - range.x, 1e-9);
     shown = look == 0 ? min(colour * gain, 1.0) : value == value ? texture2D(ramp, vec2(share, 0.5)).rgb : vec3(0.5);
