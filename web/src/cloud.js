@@ -19,7 +19,7 @@ const VERTEX = `
   void main() {
     vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
     gl_Position = projectionMatrix * mvPosition;
-    gl_PointSize = clamp(1.6 * size * spacing * perUnit / -mvPosition.z, 1.5, 24.0);
+    gl_PointSize = clamp(1.6 * size * spacing * perUnit / -mvPosition.z, 1.5, 9.0);
     float value = look == 1 ? position.z : look == 2 ? sigma : views;
     float share = (value - range.x) / max(range.y - range.x, 1e-9);
     shown = look == 0 ? min(colour * gain, 1.0) : value == value ? texture2D(ramp, vec2(share, 0.5)).rgb : vec3(0.5);
@@ -156,31 +156,36 @@ export class Cloud {
     const kept = wanted.filter((node) => (count += node.told.pointCount) <= MOST_POINTS);
     const shown = new Set(kept);
     this.shown = 0;
+    let room = count + MOST_POINTS; // what is not shown is kept while there is room for it
     for (const node of this.nodes.values()) {
       if (!node.points) continue;
       node.points.visible = shown.has(node);
       if (node.points.visible) this.shown += node.told.pointCount;
-      else if (node !== this.root) this.drop(node, count);
+      room -= node.told.pointCount;
+      if (room >= 0 || shown.has(node) || node === this.root) continue;
+      this.group.remove(node.points);
+      node.points.geometry.dispose();
+      node.points = null;
     }
     kept.slice().reverse().forEach((node) => {
       const finer = node.children.map((key) => this.nodes.get(key)).filter((n) => n.points?.visible);
       node.shownSpacing = finer.length ? Math.min(...finer.map((n) => n.shownSpacing ?? n.spacing)) : node.spacing;
     });
-    const missing = kept.filter((node) => !node.points && !node.asked);
-    missing.slice(0, AT_ONCE - this.loading).forEach((node) => {
-      node.asked = true;
-      this.load(node).then(() => this.changed(), (error) => this.changed(error)).finally(() => { node.asked = false; });
-    });
-    return !missing.length && !this.loading;
+    this.queue = kept.filter((node) => !node.points && !node.asked);
+    this.fetch();
+    return !this.loading;
   }
 
-  // What is not shown is kept while there is room for it.
-  drop(node, shown) {
-    const held = [...this.nodes.values()].reduce((sum, n) => sum + (n.points ? n.told.pointCount : 0), 0);
-    if (held < shown + MOST_POINTS) return;
-    this.group.remove(node.points);
-    node.points.geometry.dispose();
-    node.points = null;
+  // The next nodes, some at a time, whether or not what came before is drawn yet.
+  fetch() {
+    while (this.loading < AT_ONCE && this.queue.length) {
+      const node = this.queue.shift();
+      node.asked = true;
+      this.load(node).then(() => this.changed(), (error) => this.changed(error)).finally(() => {
+        node.asked = false;
+        this.fetch();
+      });
+    }
   }
 
   // The point under a place of the screen: of those within so many pixels the nearest to the viewer, or null.

@@ -17,18 +17,22 @@ export function sayPlace(found, layers, open) {
   rows.push(row("sigma", make("b", { textContent: world === null ? "in the world: not known" : said(world) })));
   if (placed) rows.push(row("· place", `east ${said(placed[0])}, north ${said(placed[1])}, up ${said(placed[2])}`));
   rows.push(row("· model", said(model)), row("· point", said(point)), row("depth maps", `${found.views}`));
-  const seen = found.images.filter((i) => !i.hidden), behind = found.images.length - seen.length;
-  const head = `${seen.length} image${seen.length === 1 ? "" : "s"} see it${behind ? `, from ${behind} it is hidden` : ""}`;
-  const patches = make("div", { className: "patches" }, ...seen.slice(0, MOST_PATCHES).map((i) => patch(i, layers, open)));
+  const of = (hidden) => found.images.filter((i) => i.hidden === hidden);
+  const seen = of(false), unsure = of(null), behind = of(true).length;
+  const counted = [
+    seen.length && `${seen.length} see it`, unsure.length && `${unsure.length} may: no depth there (pale)`, behind && `hidden from ${behind}`,
+  ];
+  const head = `Images: ${counted.filter(Boolean).join(", ") || "none"}`;
+  const patches = make("div", { className: "patches" }, ...[...seen, ...unsure].slice(0, MOST_PATCHES).map((i) => patch(i, layers, open)));
   return [make("table", {}, ...rows), make("p", { textContent: head }), patches];
 }
 
-function patch({ image, xy }, layers, open) {
+function patch({ image, xy, hidden }, layers, open) {
   const [left, top] = xy.map((v) => Math.round(v - PATCH / 2));
   const { name } = layers.cameras[image];
   const picture = make("img", { src: `/patch?k=${image}&left=${left}&top=${top}&size=${PATCH}`, alt: name, loading: "lazy" });
   const figure = make("button", { title: name, onclick: () => open(image, xy) }, picture, cross([xy[0] - left, xy[1] - top], [PATCH, PATCH]));
-  return make("figure", {}, figure, make("figcaption", { textContent: name }));
+  return make("figure", { className: hidden === null ? "pale" : "" }, figure, make("figcaption", { textContent: name }));
 }
 
 function cross(at, size) {
