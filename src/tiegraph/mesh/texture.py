@@ -110,9 +110,7 @@ class _Packed:
     bare_columns: int
 
 
-def _fitting(
-    size: np.ndarray, pixel: np.ndarray, bare: int, edge: int, most: int
-) -> tuple[np.ndarray, _Packed]:
+def _fitting(size: np.ndarray, pixel: np.ndarray, bare: int, edge: int, most: int) -> tuple[np.ndarray, _Packed]:
     """Sizes (P, 2) of the patches that fit on the textures, and where they are; the last is that of unseen faces."""
     texel = _texel(size, pixel, _FULL * most * edge**2)
     while True:
