@@ -98,8 +98,8 @@ def mesh_of(
     if len(points) < 10:
         few = "" if settings.max_sigma_m is None else f", or raise --mesh.max-sigma-m ({settings.max_sigma_m:g})"
         raise ReconstructionError(
-            f"{len(points)} points of {len(cloud)} have a normal and are sure enough for a surface: look at the cloud in "
-            f"the report{few}"
+            f"{len(points)} points of {len(cloud)} have a normal and are sure enough for a surface: look at the cloud "
+            f"in the report{few}"
         )
     middle = np.round(points.xyz_m.mean(axis=0))
     whole = call(poisson, replace(points, xyz_m=points.xyz_m - middle), detail, scratch)
@@ -107,11 +107,16 @@ def mesh_of(
     if not len(cut.corners):
         raise ReconstructionError("no part of the surface lies near the points: look at the normals of the cloud")
     simple = call(simplified, cut, settings.faces, scratch) if len(cut.corners) > settings.faces else cut
-    piece = simple.pieces()
-    count = np.bincount(piece)
-    kept = simple.of_faces(count[piece] >= min(count.max(), tuning.least_share * len(piece)))
+    kept = simple.of_faces(without_strays(simple, tuning))
     nearest = cKDTree(points.xyz_m - middle).query(kept.xyz)[1]
     return Mesh(kept.xyz + middle, kept.corners, points.rgb[nearest])
+
+
+def without_strays(mesh: Mesh, tuning: SurfaceTuning) -> np.ndarray:
+    """(F,) bool, False for the faces of small pieces."""
+    piece = mesh.pieces()
+    count = np.bincount(piece)
+    return np.asarray(count[piece] >= min(count.max(initial=0), tuning.least_share * len(piece)))
 
 
 def thinned(cloud: Cloud, spacing: float) -> Cloud:

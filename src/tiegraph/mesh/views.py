@@ -37,12 +37,11 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Seen(Arrays):
-    """The faces (N,) that an image sees whole, how well it shows each (N,) f4 in pixels by unit of length, weighted, and
-    how large (N,) f4 one of its pixels is there."""
+    """The faces (N,) that an image sees whole, and how well (N,) f4 it shows each: pixels in a unit of length,
+    weighted."""
 
     face: np.ndarray
     quality: np.ndarray
-    pixel: np.ndarray
 
 
 def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +88,7 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     free &= (away > 0) & (confirmed >= 0)
     share = np.minimum(1.0, away / tuning.border)
     quality = front**tuning.angle_power / pixel * share * (tuning.unconfirmed + confirmed)
-    return Seen(faces[free], quality[free].astype(np.float32), pixel[free].astype(np.float32))
+    return Seen(faces[free], quality[free].astype(np.float32))
 
 
 def _inside(xy: np.ndarray, z: np.ndarray, size: tuple[int, int], corners: np.ndarray) -> np.ndarray:
