@@ -79,6 +79,16 @@ class Mesh:
         return pieces(len(self.corners), self.neighbours())
 
 
+def hanging(mesh: Mesh, doubtful: np.ndarray) -> np.ndarray:
+    """(F,) bool, which of the ``doubtful`` faces (F,) bool reach the border of the mesh, each with the doubtful ones
+    around it; those in the midst of others do not."""
+    pairs = mesh.neighbours()
+    piece = pieces(len(doubtful), pairs[doubtful[pairs].all(axis=1)])
+    at_border = np.zeros(piece.max(initial=-1) + 1, bool)
+    at_border[piece[np.bincount(pairs.ravel(), minlength=len(doubtful)) < 3]] = True
+    return np.asarray(doubtful & at_border[piece])
+
+
 def pieces(count: int, pairs: np.ndarray) -> np.ndarray:
     """(count,) number of the connected piece that each item is of, by pairs (E, 2) of connected ones."""
     links = coo_matrix((np.ones(len(pairs), bool), pairs.T), (count, count))
@@ -179,13 +189,16 @@ def simplified(mesh: Mesh, faces: int, scratch: Path, send: Any = None) -> Mesh:
 
 
 def _near(mesh: Mesh, xyz: np.ndarray, sigma: np.ndarray, detail: float, tuning: SurfaceTuning) -> Mesh:
-    """The faces whose corners all lie near a point."""
+    """The faces whose corners all lie near a point, nearer at the border than in gaps."""
     tree = cKDTree(xyz)
     apart = tree.query(xyz, min(_NEIGHBOURS + 1, len(xyz)))[0][:, -1] / _APART
     local = np.clip(apart, detail, _SPARSEST * detail)
     distance, nearest = tree.query(mesh.xyz)
     reach = np.maximum(tuning.reach * local, tuning.sigmas * np.nan_to_num(sigma))[nearest]
-    return mesh.of_faces((distance <= reach)[mesh.corners].all(axis=1))
+    there = (distance <= reach)[mesh.corners].all(axis=1)
+    far = (distance > tuning.rim * local[nearest])[mesh.corners].any(axis=1)[there]
+    cut = mesh.of_faces(there)
+    return cut.of_faces(~hanging(cut, far))
 
 
 # --- PLY --------------------------------------------------------------------------------------------------------------

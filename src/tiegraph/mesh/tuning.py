@@ -9,9 +9,11 @@ class SurfaceTuning(Section):
     """From points to triangles (`surface.py`)."""
 
     reach: float = Field(3.0, gt=0)
-    """The surface ends this many details from the nearest point, ..."""
+    """Gaps are bridged as far as this many details from the nearest point, ..."""
     sigmas: float = Field(3.0, gt=0)
-    """... or so many standard deviations of that point, whichever is more: it bridges gaps of twice that."""
+    """... or so many standard deviations of that point, whichever is more."""
+    rim: float = Field(1.0, gt=0)
+    """At its border the surface ends this many details from the nearest point."""
     least_share: float = Field(0.002, ge=0, lt=1)
     """Pieces with a smaller share of all faces are strays."""
 

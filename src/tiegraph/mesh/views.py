@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.mesh.fragments import fragments
-from tiegraph.mesh.surface import Mesh, pieces
+from tiegraph.mesh.surface import Mesh, hanging, pieces
 from tiegraph.mesh.tuning import ViewTuning
 from tiegraph.scene.results import DepthMap
 from tiegraph.scene.sorting import Arrays
@@ -221,9 +221,4 @@ def patches(label: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 def without_bubbles(mesh: Mesh, label: np.ndarray) -> np.ndarray:
     """(F,) bool, False for what no image sees and what reaches the border of the mesh: there it is a guess. What is
     unseen in the midst of seen faces, such as a crack, stays."""
-    pairs = mesh.neighbours()
-    patch = patches(np.where(label == UNSEEN, UNSEEN, 0), pairs)
-    edges = np.bincount(pairs.ravel(), minlength=len(label))
-    at_border = np.zeros(patch.max() + 1, bool)
-    at_border[patch[edges < 3]] = True
-    return ~((label == UNSEEN) & at_border[patch])
+    return ~hanging(mesh, label == UNSEEN)
