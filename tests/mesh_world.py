@@ -13,11 +13,11 @@ SPACING, NOISE_M = 0.04, 0.004
 GREY = 128  # of what is no box
 
 
-def colour(xyz):
+def colour(xyz, stripes=25.0):
     """RGB (..., 3) f8 painted on places: waves longer than the faces of a mesh, and stripes every half metre."""
     x, y, z = np.moveaxis(np.asarray(xyz, float), -1, 0)
     wave = np.stack([np.sin(1.5 * x + z), np.cos(1.7 * y - x), np.sin(2 * z + y)], axis=-1)
-    stripe = np.where(np.floor((x + y + z) / 0.5) % 2 == 1, 25.0, -25.0)
+    stripe = np.where(np.floor((x + y + z) / 0.5) % 2 == 1, stripes, -stripes)
     return 120 + 60 * wave + stripe[..., None]
 
 
@@ -116,10 +116,10 @@ def seen(one):
     return depth, back[:3, 3] + depth[..., None] * ray
 
 
-def picture(one, gain=1.0):
+def picture(one, gain=1.0, stripes=25.0):
     """RGB (H, W, 3) u1 of a view, exposed more or less."""
     depth, places = seen(one)
-    rgb = np.where(np.isfinite(depth)[..., None], colour(np.nan_to_num(places)), GREY)
+    rgb = np.where(np.isfinite(depth)[..., None], colour(np.nan_to_num(places), stripes), GREY)
     return np.clip(np.rint(gain * rgb), 0, 255).astype(np.uint8)
 
 

@@ -22,7 +22,9 @@ PAD = 2
 _BARE = 4  # pixels along the edge of what an unseen face has, with its border
 _FULL = 0.9  # share of the textures that rectangles may fill
 _COARSER = 1.05  # how much coarser it is tried again where they do not fit
-_BLUR = 0.5  # of the edges of faces: what is averaged around a vertex
+_ALONG = 8  # places along the edge of a seam whose colours are compared
+_WITHIN = 0.15  # of the height of its face: how far within they lie
+_ROWS = 1 << 14  # places that OpenCV takes at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +49,14 @@ class Layout(Arrays):
 @dataclass(frozen=True, eq=False)
 class Nodes(Arrays):
     """The places whose colours are levelled: vertex (N,) and patch (N,), sorted by patch; corner (F, 3) the node of
-    each face's corners, -1 of an unseen one."""
+    each face's corners, -1 of an unseen one; seam (S, 4) the nodes of the edges where two patches meet: both ends in one
+    and both in the other, and beside (S, 2) the vertices that these edges' faces have beside them."""
 
     vertex: np.ndarray
     patch: np.ndarray
     corner: np.ndarray
+    seam: np.ndarray
+    beside: np.ndarray
 
 
 def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[View], edge: int, most: int) -> Layout:
@@ -203,11 +208,21 @@ def _in_chart(xy: np.ndarray, layout: Layout, patch: np.ndarray) -> np.ndarray:
 def nodes_of(mesh: Mesh, layout: Layout) -> Nodes:
     """The vertices of each patch."""
     seen = layout.patch != UNSEEN
-    key = layout.patch[seen][:, None] * np.int64(len(mesh.xyz)) + mesh.corners[seen]
-    found, back = np.unique(key, return_inverse=True)
-    corner = np.full(mesh.corners.shape, -1)
+    count = np.int64(max(len(mesh.xyz), 1))
+    found, back = np.unique(layout.patch[seen][:, None] * count + mesh.corners[seen], return_inverse=True)
+    corner = np.full(mesh.corners.shape, UNSEEN)
     corner[seen] = back.reshape(-1, 3)
-    return Nodes(vertex=found % max(len(mesh.xyz), 1), patch=found // max(len(mesh.xyz), 1), corner=corner)
+    pairs = mesh.neighbours()
+    patch = layout.patch[pairs]
+    pairs = pairs[(patch[:, 0] != patch[:, 1]) & (patch != UNSEEN).all(axis=1)]
+    a, b = mesh.corners[pairs[:, 0]], mesh.corners[pairs[:, 1]]
+    same = a[:, :, None] == b[:, None, :]  # (S, 3, 3) which corners are one vertex
+    ends = np.argsort(~same.any(axis=2), axis=1, kind="stable")[:, :2]
+    row = np.arange(len(pairs))[:, None]
+    others = same[row, ends].argmax(axis=2)
+    seam = np.concatenate([corner[pairs[:, :1], ends], corner[pairs[:, 1:], others]], axis=1)
+    beside = np.stack([a[row[:, 0], 3 - ends.sum(axis=1)], b[row[:, 0], 3 - others.sum(axis=1)]], axis=1)
+    return Nodes(vertex=found % count, patch=found // count, corner=corner, seam=seam, beside=beside)
 
 
 def cut_out(rgb: np.ndarray, layout: Layout, k: int) -> list[np.ndarray]:
@@ -241,21 +256,37 @@ def _reduced(rgb: np.ndarray, move: np.ndarray, size: tuple[int, int], scale: fl
     return cv2.warpAffine(rgb, move, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
-def vertex_colours(rgb: np.ndarray, mesh: Mesh, layout: Layout, nodes: Nodes, view: View, k: int) -> np.ndarray:
-    """RGB (N, 3) f4 that image ``k`` has around its nodes, in their order."""
-    own = np.flatnonzero(layout.image[nodes.patch] == k) if len(nodes.patch) else np.zeros(0, int)
-    face = np.flatnonzero((layout.patch != UNSEEN) & (layout.image[layout.patch] == k))
-    if not len(own):
-        return np.zeros((0, 3), np.float32)
-    corners = project(view.camera, mesh.xyz[mesh.corners[face]])[0]
-    edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
-    wide = 2 * round(_BLUR * edge / 2) + 1
-    smooth = cv2.blur(rgb, (wide, wide))
-    xy = project(view.camera, mesh.xyz[nodes.vertex[own]])[0].astype(np.float32) - np.float32(0.5)
-    high = 1 << 14  # rows that OpenCV takes at once
-    parts = [xy[s : s + high] for s in range(0, len(xy), high)]
-    out = [cv2.remap(smooth, p[:, :1], p[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for p in parts]
-    return np.concatenate([o.reshape(-1, 3) for o in out]).astype(np.float32)
+def own_faces(layout: Layout, k: int) -> np.ndarray:
+    """Numbers of the faces that have their colours from image ``k``."""
+    return np.flatnonzero((layout.patch != UNSEEN) & (layout.image[layout.patch] == k))
+
+
+def own_sides(layout: Layout, nodes: Nodes, k: int) -> np.ndarray:
+    """(M, 2) numbers of the seams that patches of image ``k`` have, and of which side, 0 or 1, they are."""
+    return np.argwhere(layout.image[nodes.patch[nodes.seam[:, [0, 2]]]] == k)
+
+
+def edge_colours(rgb: np.ndarray, mesh: Mesh, nodes: Nodes, sides: np.ndarray, view: View) -> np.ndarray:
+    """RGB (M, 3) f4 that an image has along the edges of seams on its sides (M, 2), the mean of each; a little within
+    its own face, for beyond the edge may be the background."""
+    ends = mesh.xyz[nodes.vertex[nodes.seam[sides[:, 0], :2]]]
+    share = (np.arange(_ALONG) + 0.5) / _ALONG
+    places = ends[:, :1] + share[:, None] * (ends[:, 1:] - ends[:, :1])
+    places += _WITHIN * (mesh.xyz[nodes.beside[tuple(sides.T)]] - ends.mean(axis=1))[:, None]
+    return _sampled(rgb, project(view.camera, places.reshape(-1, 3))[0]).reshape(-1, _ALONG, 3).mean(axis=1)
+
+
+def face_colours(rgb: np.ndarray, mesh: Mesh, faces: np.ndarray, view: View) -> np.ndarray:
+    """RGB (M, 3) f4 that an image has in the middle of faces."""
+    return _sampled(rgb, project(view.camera, mesh.xyz[mesh.corners[faces]].mean(axis=1))[0])
+
+
+def _sampled(rgb: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """RGB (N, 3) f4 of an image between its pixels."""
+    at = xy.astype(np.float32) - np.float32(0.5)
+    parts = [at[s : s + _ROWS] for s in range(0, len(at), _ROWS)]
+    out = [cv2.remap(rgb, p[:, :1], p[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for p in parts]
+    return np.concatenate([np.zeros((0, 3), np.float32), *(o.reshape(-1, 3).astype(np.float32) for o in out)])
 
 
 def levelled_chart(chart: np.ndarray, xy: np.ndarray, change: np.ndarray) -> np.ndarray:

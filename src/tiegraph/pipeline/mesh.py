@@ -22,11 +22,14 @@ from tiegraph.mesh.texture import (
     Nodes,
     bare_blocks,
     cut_out,
+    edge_colours,
+    face_colours,
     laid_out,
     levelled_chart,
     nodes_of,
+    own_faces,
+    own_sides,
     places,
-    vertex_colours,
 )
 from tiegraph.mesh.tuning import Tuning
 from tiegraph.mesh.views import UNSEEN, Seen, View, chosen, seen_by, without_bubbles
@@ -157,17 +160,21 @@ class _Work:
         rgb = self.pictures.picture(k)[0]
         charts = cut_out(rgb, layout, k)
         flat = np.concatenate([c.ravel() for c in charts])
-        at_nodes = vertex_colours(rgb, self.mesh(), layout, self.nodes(), self.views[k], k)
-        return save_npz(self.path("colours", k), charts=flat, nodes=at_nodes)
+        nodes, whole, view = self.nodes(), self.mesh(), self.views[k]
+        edges = edge_colours(rgb, whole, nodes, own_sides(layout, nodes, k), view)
+        faces = face_colours(rgb, whole, own_faces(layout, k), view)
+        return save_npz(self.path("colours", k), charts=flat, edges=edges, faces=faces)
 
     def make_levels(self) -> None:
         """What is added to the colours of each patch, and the colours of the vertices."""
         layout, nodes, whole = self.layout(), self.nodes(), self.mesh()
-        colour = np.zeros((len(nodes.vertex), 3))
+        edges, faces = np.zeros((len(nodes.seam), 2, 3)), np.full(whole.corners.shape, np.nan)
         for k in np.unique(layout.image):
-            colour[layout.image[nodes.patch] == k] = load_npz(self.path("colours", k))["nodes"]
-        change = levelled(nodes, colour, self.tuning.texture)
-        rgb = vertex_mean(nodes, colour + change, whole.rgb)
+            found = load_npz(self.path("colours", k))
+            edges[tuple(own_sides(layout, nodes, k).T)] = found["edges"]
+            faces[own_faces(layout, k)] = found["faces"]
+        change = levelled(nodes, edges, self.tuning.texture)
+        rgb = vertex_mean(whole, nodes, change, faces)
         save_npz(self.path("levels"), change=change.astype(np.float32), rgb=rgb)
 
     def make_texture(self, page: int) -> None:
