@@ -174,7 +174,7 @@ def files(mesh, label, tmp_path_factory):
 
 
 def parts_of(loaded):
-    """Vertices in their scene's frame, faces' corners (F, 3, 3), and the colours of the faces' middles by the texture."""
+    """The corners (F, 3, 3) of faces in their scene's frame, and the colours of their middles by the textures."""
     corners, colours = [], []
     for part in loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]:
         corners.append(part.triangles)

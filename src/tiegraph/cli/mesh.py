@@ -3,8 +3,8 @@
 from tiegraph.cli.run import Common, main_stage
 
 _ABOUT = """ Of `mesh`: the cloud as a surface of triangles that is coloured from the images: OUT/mesh/mesh.glb (one
-file, for viewers and browsers), mesh.obj with its textures, mesh.ply with colours at the vertices, and offset.json, which
-leads to the coordinates of the CRS."""
+file, for viewers and browsers), mesh.obj with its textures, mesh.ply with colours at the vertices, and offset.json,
+which leads to the coordinates of the CRS."""
 
 
 def main(arguments: list[str]) -> int:

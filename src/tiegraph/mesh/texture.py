@@ -49,8 +49,8 @@ class Layout(Arrays):
 @dataclass(frozen=True, eq=False)
 class Nodes(Arrays):
     """The places whose colours are levelled: vertex (N,) and patch (N,), sorted by patch; corner (F, 3) the node of
-    each face's corners, -1 of an unseen one; seam (S, 4) the nodes of the edges where two patches meet: both ends in one
-    and both in the other, and beside (S, 2) the vertices that these edges' faces have beside them."""
+    each face's corners, -1 of an unseen one; seam (S, 4) the nodes of the edges where two patches meet: both ends in
+    one and both in the other; beside (S, 2) the vertices that these edges' faces have beside them."""
 
     vertex: np.ndarray
     patch: np.ndarray

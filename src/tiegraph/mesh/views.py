@@ -64,7 +64,7 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     camera = view.camera
     xy, z = project(camera, mesh.xyz)
     shrunk = min(1.0, _FINEST / max(camera.size))
-    size = tuple(max(1, round(s * shrunk)) for s in camera.size)
+    size = (max(1, round(camera.size[0] * shrunk)), max(1, round(camera.size[1] * shrunk)))
     scale = np.array(camera.size) / size
     corners = mesh.corners
     faces = np.flatnonzero(_inside(xy, z, camera.size, corners))
