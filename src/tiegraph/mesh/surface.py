@@ -79,6 +79,26 @@ class Mesh:
         return pieces(len(self.corners), self.neighbours())
 
 
+def trimmed_border(mesh: Mesh, rounds: int) -> tuple[Mesh, np.ndarray]:
+    """A mesh without teeth along its border, and which faces (F,) bool it has: faces with two free edges go, so many
+    times, then the border's vertices move towards their neighbours along it, as often."""
+    kept = np.arange(len(mesh.corners))
+    for _ in range(rounds):
+        some = mesh.of_faces(np.isin(np.arange(len(mesh.corners)), kept))
+        kept = kept[np.bincount(some.neighbours().ravel(), minlength=len(kept)) > 1]
+    there = np.isin(np.arange(len(mesh.corners)), kept)
+    cut = mesh.of_faces(there)
+    edges, count = np.unique(np.sort(cut.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True)
+    ends = np.concatenate([edges[count == 1], edges[count == 1][:, ::-1]])
+    beside = np.bincount(ends[:, 0], minlength=len(cut.xyz))[:, None]
+    xyz = cut.xyz
+    for _ in range(rounds):
+        total = np.zeros_like(xyz)
+        np.add.at(total, ends[:, 0], xyz[ends[:, 1]])
+        xyz = np.where(beside == 2, 0.5 * xyz + 0.5 * total / np.maximum(beside, 1), xyz)
+    return Mesh(xyz, cut.corners, cut.rgb), there
+
+
 def hanging(mesh: Mesh, doubtful: np.ndarray) -> np.ndarray:
     """(F,) bool, which of the ``doubtful`` faces (F,) bool reach the border of the mesh, each with the doubtful ones
     around it; those in the midst of others do not."""

@@ -14,6 +14,8 @@ class SurfaceTuning(Section):
     """... or so many standard deviations of that point, whichever is more."""
     rim: float = Field(1.0, gt=0)
     """At its border the surface ends this many details from the nearest point."""
+    border_rounds: int = Field(2, ge=0)
+    """Times that teeth are taken off the border and it is smoothed."""
     least_share: float = Field(0.002, ge=0, lt=1)
     """Pieces with a smaller share of all faces are strays."""
 

@@ -22,6 +22,7 @@ from tiegraph.scene.sorting import Arrays
 UNSEEN = -1
 _FINEST = 1600  # pixels along the longer side of a buffer: bounds its memory and time
 _STEEPEST = 5.0  # tangent of the angle at which a face is seen, for how far its depth may be off
+_AROUND_PX = 16  # pixels of a buffer along the edge of a cell, in which places are counted whose depth it confirms
 _FACES = 200_000  # drawn at once
 _MOST_VIEWS = 8  # of a face that are compared: the best
 _ABSORBED = 3  # times that small patches go to their neighbours
@@ -86,8 +87,9 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     confirmed = _confirmed(own, at, deep, play, size, scale, tuning)
     away = _away(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
     free &= (away > 0) & (confirmed >= 0)
-    share = np.minimum(1.0, away / tuning.border)
-    quality = front**tuning.angle_power / pixel * share * (tuning.unconfirmed + confirmed)
+    inner = np.minimum(1.0, away / tuning.border)
+    share = _share_around(at / scale, confirmed, size)
+    quality = front**tuning.angle_power / pixel * inner * (tuning.unconfirmed + share)
     return Seen(faces[free], quality[free].astype(np.float32))
 
 
@@ -143,6 +145,17 @@ def _confirmed(
     close = play * max(1.0, 1 / float(ratio.min())) + tuning.shade_sigmas * own.sigma_m[row, column]
     with np.errstate(invalid="ignore"):
         return np.where(behind > close, -1.0, np.where(np.abs(behind) <= close, 1.0, 0.0))
+
+
+def _share_around(at: np.ndarray, confirmed: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(N,) share of the places around each, pixels (N, 2) of the buffer, whose depth the image confirms: whether it has
+    a depth in just one place says little."""
+    wide, high = (s // _AROUND_PX + 1 for s in size)
+    column, row = (np.clip((at[:, a] // _AROUND_PX).astype(int), 0, (wide, high)[a] - 1) for a in (0, 1))
+    there = [np.bincount(row * wide + column, w, wide * high).reshape(high, wide) for w in (confirmed > 0, None)]
+    total = [cv2.GaussianBlur(t.astype(float), (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT) for t in there]
+    smooth = cv2.resize(total[0] / np.maximum(total[1], 1e-12), None, fx=_AROUND_PX, fy=_AROUND_PX)
+    return np.asarray(smooth[tuple(np.clip(at[:, a].astype(int), 0, size[a] - 1) for a in (1, 0))])
 
 
 # --- choice -----------------------------------------------------------------------------------------------------------

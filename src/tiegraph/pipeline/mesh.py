@@ -15,7 +15,7 @@ from tiegraph.limits import need_room
 from tiegraph.mesh.files import Textured, glb, mtl, obj
 from tiegraph.mesh.levelling import levelled, vertex_mean
 from tiegraph.mesh.settings import MeshSettings
-from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, without_strays
+from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
 from tiegraph.mesh.texture import (
     PAD,
     Layout,
@@ -147,6 +147,8 @@ class _Work:
         for keep in (without_bubbles, lambda m, _: without_strays(m, self.tuning.surface)):
             kept = keep(whole, label)
             whole, label = whole.of_faces(kept), label[kept]
+        whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
+        label = label[kept]
         layout = laid_out(whole, label, self.views, self.settings.texture_px, self.settings.textures)
         save_npz(self.path("mesh"), **vars(whole))
         save_npz(self.path("nodes"), **nodes_of(whole, layout).to_npz())
