@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 import mesh_world as world
 from tiegraph.errors import ReconstructionError
 from tiegraph.mesh.settings import MeshSettings
-from tiegraph.mesh.surface import Mesh, mesh_of, ply_of, read_ply, thinned
+from tiegraph.mesh.surface import Mesh, mesh_of, ply_of, read_ply, thinned, trimmed_border
 from tiegraph.mesh.tuning import SurfaceTuning
 
 TUNING = SurfaceTuning()
@@ -126,3 +126,23 @@ def test_neighbours_share_an_edge():
     assert len(pairs) == (3 * faces - border) / 2
     alone = mesh.of_faces(np.arange(faces) < 1)
     assert len(alone.xyz) == 3 and isinstance(alone, Mesh) and not len(alone.neighbours())
+
+
+def test_teeth_at_the_border_go():
+    """A strip whose lower border is cut in teeth: it becomes a line, and what lies within stays where it is."""
+    mesh = world.true_mesh(16)
+    middle = mesh.xyz[mesh.corners].mean(axis=1)
+    row = np.abs(middle[:, 2] - 0.0625) < 0.0625
+    teeth = mesh.of_faces(~(row & (np.arange(len(row)) % 2 == 0)))
+    smooth, kept = trimmed_border(teeth, TUNING.border_rounds)
+
+    def length(of):
+        edges, count = np.unique(np.sort(of.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True)
+        ends = of.xyz[edges[count == 1]]
+        return np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum()
+
+    assert len(kept) == len(teeth.corners) and kept.mean() > 0.95 and len(smooth.corners) == kept.sum()
+    assert length(smooth) < 0.9 * length(teeth) and world.distance(smooth.xyz).max() < 0.08
+    inner = smooth.xyz[:, 2] > 0.5
+    assert np.isin(np.round(smooth.xyz[inner], 9), np.round(mesh.xyz, 9)).all()
+    assert (trimmed_border(teeth, 0)[0].xyz == teeth.xyz).all()

@@ -161,7 +161,7 @@ def files(mesh, label, tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     far = type(mesh)(mesh.xyz + [1234.567, -987.654, 12.345], mesh.corners, mesh.rgb)
     pages, place, texture, layout = painted(mesh, label, edge=256, most=3)
-    textured = Textured(far, place, texture, layout.pages)
+    textured = Textured(far, place=place, texture=texture, pages=layout.pages)
     for k, page in enumerate(pages):
         buffer = io.BytesIO()
         Image.fromarray(page).save(buffer, "JPEG", quality=95)

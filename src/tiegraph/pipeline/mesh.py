@@ -217,7 +217,7 @@ def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
     whole = work.mesh()
     place, texture = places(whole, layout, work.views)
     coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
-    textured = Textured(coloured, place, texture, layout.pages)
+    textured = Textured(coloured, place=place, texture=texture, pages=layout.pages)
     said, lines = _said(run)
     pictures = [work.texture(k) for k in range(len(layout.pages))]
     folder = run.path(FOLDER)
