@@ -120,7 +120,7 @@ def mesh_of(
 ) -> Mesh:
     """The surface of a cloud whose points are ``spacing`` apart. ``scratch``: an empty folder; ``call(function,
     *args)`` calls COLMAP. Raises ReconstructionError where no surface comes of the points."""
-    there: np.ndarray = np.isfinite(cloud.normal).all(axis=1)
+    there = np.asarray(np.isfinite(cloud.normal).all(axis=1))
     if settings.max_sigma_m is not None:
         there &= ~(cloud.sigma_m > settings.max_sigma_m)
     detail = settings.detail_m or 2 * spacing
