@@ -16,6 +16,7 @@ PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
 CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "filter", "sfm", "dense", "cloud")
 CHAPTERS += (
     "products",
+    "mesh",
     "evaluate",
     "report",
     "calibrate",

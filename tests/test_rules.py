@@ -125,11 +125,11 @@ def test_every_setting_is_documented():
 
 def test_stages_settings_and_verbs_have_one_name():
     from tiegraph.cli.verbs import VERBS
-    from tiegraph.pipeline import SHOTS, STAGES
+    from tiegraph.pipeline import MESH, SHOTS, STAGES
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.project.stages import engines
 
-    stages = (*STAGES, SHOTS)
+    stages = (*STAGES, SHOTS, MESH)
     names = [s.name for s in stages]
     assert names == list(STAGED)
     assert {engine for stage in stages for engine in engines(stage, Settings())} == set(Tunings.model_fields)

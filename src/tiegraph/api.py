@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiegraph.errors import InputError, ReconstructionError, SettingsError, choose
-from tiegraph.pipeline import SHOTS, STAGES, foundrig
+from tiegraph.pipeline import SHOTS, STAGES, foundrig, table
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
@@ -50,12 +50,12 @@ class Project:
         Where the images give nothing for a stage the report says so; ReconstructionError is raised if that stage was
         asked for. Raises InputError, SettingsError or EngineMissing too; what was finished is kept.
         """
-        self._run(STAGES, until, reporter)
+        self._run(table(until), until, reporter)
         return self
 
     def doubtful(self, until: str | None = None) -> bool:
         """Whether anything contradicts anything, or nothing came of a stage, up to and including one."""
-        return any(self.receipt(s.name).get("contradictions") for s in needed(STAGES, until))
+        return any(self.receipt(s.name).get("contradictions") for s in needed(table(until), until))
 
     def as_run(self, reporter: Reporter | None = None) -> Run:
         """The project as the stages see it."""
@@ -174,18 +174,21 @@ class Project:
         return glue.judged(block, name, STAGES, [n for n in notes if n])
 
     def export(self, folder: str | Path, to: str = "dense", camera: str = "", reporter: Reporter | None = None) -> int:
-        """Write a folder for another program; how many images, poses or cameras it has. ``to``: ``dense``, the depth
-        maps as a dense workspace of COLMAP, or a name of `tiegraph export --to`; ``camera``: whose trajectory tum and
-        kitti are of (default: the rig's). Raises InputError for what is not there yet, a world that is not on the Earth
-        (geojson, gpkg) and a folder that holds something, SettingsError for a name that is none."""
+        """Write a folder for another program; how many images, poses, cameras or (e57) points it has. ``to``:
+        ``dense``, the depth maps as a dense workspace of COLMAP, or a name of `tiegraph export --to`; ``camera``: whose
+        trajectory tum and kitti are of (default: the rig's). Raises InputError for what is not there yet, a world that
+        is not on the Earth (geojson, gpkg) and a folder that holds something, SettingsError for a name that is none."""
         if to == "dense":
             self._needed("depth", "dense")
             from tiegraph.pipeline.dense import hand_over  # loads the dense engine
 
             return hand_over(self.as_run(), Path(folder))
         self._needed("sparse/world", "georef")
-        from tiegraph.pipeline.export import hand_out  # likewise
+        from tiegraph.pipeline.export import hand_out, hand_out_e57  # likewise
 
+        if to == "e57":
+            self._needed("cloud.laz", "cloud")
+            return hand_out_e57(self.as_run(reporter), Path(folder))
         return hand_out(self.as_run(reporter), Path(folder), to, camera)
 
     def rig_file(self, form: str = "rig") -> tuple[str, tuple[str, ...]]:
@@ -250,6 +253,12 @@ class Project:
         rasters = (".tif", ".gpkg", ".geojson")
         there = {p.name: sorted(p.iterdir()) for p in sorted(folder.iterdir()) if (p / "frame.json").exists()}
         return {name: {p.stem: p for p in files if p.suffix in rasters} for name, files in there.items()}
+
+    def mesh(self) -> dict[str, Path]:
+        """The files of the textured mesh by their endings: glb, obj, ply; ``json`` leads back to the CRS."""
+        self._needed("mesh/mesh.glb", "mesh")
+        names = ("mesh.glb", "mesh.obj", "mesh.ply", "offset.json")
+        return {name.rpartition(".")[2]: self._needed(f"mesh/{name}", "mesh") for name in names}
 
     def report(self) -> Path:
         """The HTML report."""

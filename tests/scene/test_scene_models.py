@@ -165,7 +165,10 @@ def test_only_wide_images_carry():
 @pytest.mark.parametrize(
     "scene, what",
     [
-        (with_sensor(survey(), 1, sensor_from_rig=None), "a depends on the rig, but its pose relative to wide is unknown"),
+        (
+            with_sensor(survey(), 1, sensor_from_rig=None),
+            "a depends on the rig, but its pose relative to wide is unknown",
+        ),
         (with_sensor(survey(), 2, camera=None), "b depends on the rig, but its lens is not calibrated"),
         (survey(nominal=True), "but it is nominal: calibrate the rig"),
     ],

@@ -82,6 +82,7 @@ VERBS: dict[str, Verb] = {
     "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
     "export": Verb("a folder for the next tool: nerfstudio, COLMAP, gsplat, OpenMVS, OpenSfM, TUM, GIS", "export"),
+    "mesh": Verb("a textured mesh of a finished run, as GLB, OBJ and PLY", "mesh"),
     "profile": Verb("heights of a map along a line, with sigmas: a table and a chart", "profile"),
     "volume": Verb("cut and fill inside polygons on a map, from a plane, a height or another survey", "volume"),
     "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),

@@ -21,6 +21,6 @@ and COLMAP's ``ExportBundler``.
 from typing import Literal
 
 Name = Literal[
-    "dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson", "gpkg"
+    "dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson", "gpkg", "e57"
 ]
-"""What `--to` takes; ``dense`` is the workspace of ``dense.workspace``."""
+"""What `--to` takes; ``dense`` is the workspace of ``dense.workspace``, ``e57`` the cloud."""

@@ -19,7 +19,7 @@ from typing import Any
 
 from tiegraph.project.stages import Outcome, Stage, needed
 
-__all__ = ["SHOTS", "STAGES"]
+__all__ = ["MESH", "SHOTS", "STAGES", "table"]
 
 
 def _glue(name: str, run: Any) -> Outcome:
@@ -29,7 +29,7 @@ def _glue(name: str, run: Any) -> Outcome:
 
 def load(until: str | None = None) -> None:
     """Import the glue of all stages up to and including one, as far as possible: a stage reports missing parts."""
-    for stage in needed(STAGES, until):
+    for stage in needed(table(until), until):
         with suppress(ImportError):
             import_module(f"tiegraph.pipeline.{stage.name}")
 
@@ -85,3 +85,12 @@ STAGES = (
 SHOTS = _stage("shots", ("scan",), ("shots",), "shot", uses=("dense", "cloud"), tuned=("dense", "cloud"),
                scratch=("shots/.tiles",))  # fmt: skip
 """The single-shot mode: apart from the table, for a survey does not need it."""
+
+MESH = _stage("mesh", ("georef", "refine", "dense", "cloud"), ("mesh",), "image", tuned=("evaluate",),
+              scratch=("mesh/.work",))  # fmt: skip
+"""The textured mesh of a finished survey: apart from the table, for it is made when it is asked for."""
+
+
+def table(until: str | None = None) -> tuple[Stage, ...]:
+    """The stages, with those apart from the table if they are asked for."""
+    return (*STAGES, *(stage for stage in (MESH,) if stage.name == until))

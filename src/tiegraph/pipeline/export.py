@@ -1,19 +1,22 @@
-"""Glue of `tiegraph export --to NAME`: the survey, loaded once, with images, masks and depth in another format."""
+"""Glue of `tiegraph export --to NAME`: the survey, loaded once, with images, masks and depth in another format;
+and the cloud."""
 
 import io
+import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import cv2
+import laspy
 import numpy as np
 
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.undistort import centred_pinhole, view_through
 from tiegraph.errors import InputError, TiegraphError, choose
 from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
-from tiegraph.export.survey import Exporter, Survey, unique_names
+from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
 from tiegraph.limits import explained
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.files import (
@@ -25,6 +28,7 @@ from tiegraph.pipeline.files import (
     pairs_of,
     placement_error,
     read_image,
+    reading,
     save_png,
     whole,
     world_origin,
@@ -33,11 +37,14 @@ from tiegraph.pipeline.files import (
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.cloudfile import las_cloud
+from tiegraph.scene.e57file import write_e57
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
 from tiegraph.scene.relens import with_cameras
 
 _DEPTHS = "depths"
+_SCAN = 10_000_000  # points of a scan of an E57 file: pye57 writes one from memory, about 0.5 GB
 
 
 @dataclass(frozen=True)
@@ -60,8 +67,7 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     not on the Earth if the format needs that.
     """
     choose("export", name, dict.fromkeys(EXPORTERS))
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} exists and is not empty: give a new folder")
+    _must_be_free(target)
     exporter = EXPORTERS[name]
     if camera and exporter.lens is not None:
         raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
@@ -79,6 +85,29 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
         run.close()
     run.reporter.say(f"opened by: {exporter.opened.format(folder=target)}")
     return count
+
+
+def hand_out_e57(run: Run, target: Path) -> int:
+    """Write the cloud as ``cloud.e57`` into the folder ``target``, whole or not at all; how many points it has.
+
+    Raises EngineMissing without pye57, InputError for a folder that holds something and a full disk.
+    """
+    _must_be_free(target)
+    path, origin = run.path("cloud.laz"), world_origin(run.folder)
+    with replacing(target.absolute()) as made:
+        made.mkdir()
+        with reading(path), laspy.open(path) as reader:
+            parts = (las_cloud(p, reader.header, origin) for p in reader.chunk_iterator(_SCAN))
+            count = write_e57(parts, made / "cloud.e57")
+        said = {"crs": None if origin is None else origin.crs, "unit": world_unit(run.folder)}
+        write_atomic(made / OFFSET, json.dumps({**said, "crs_from_local": np.eye(4).tolist()}))
+    run.reporter.say(f"opened by: CloudCompare, {target / 'cloud.e57'}")
+    return count
+
+
+def _must_be_free(target: Path) -> None:
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} exists and is not empty: give a new folder")
 
 
 def _survey(run: Run) -> Survey:

@@ -1,19 +1,15 @@
 """Glue of products: rasters of the finished cloud and the images over reference surfaces."""
 
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import TypeVar
 
-import cv2
 import numpy as np
 
-from tiegraph.dense.plan import CameraModel, ViewPlan
-from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline.cloud import accuracy_said
 from tiegraph.pipeline.dense import depth_path, read_depth
-from tiegraph.pipeline.files import FINAL, load_model, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.files import load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.pictures import Pictures, plans_of
 from tiegraph.pipeline.surfaces import OnSurface, Step
 from tiegraph.pipeline.terrain import TerrainWork, wanted
 from tiegraph.products.choose import Survey, choose
@@ -36,7 +32,6 @@ from tiegraph.products.surface import View, Window
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of
-from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.copc import copc_box, copc_sample
 from tiegraph.text import csv_text
 
@@ -46,24 +41,22 @@ CLOUD = "cloud.copc.laz"
 TILE = 1024
 """Pixels along the edge of a tile."""
 _MOST_SOURCES = np.iinfo(np.uint16).max
-_SHARP = 20_000  # longest side of an undistorted image: as large as they come
 _SAMPLE = 100_000  # points of the cloud that determine the surfaces
 
 
 def products(run: Run) -> Outcome:
     """The rasters of each reference surface, tile by tile; finished tiles and rasters stay after an interruption."""
-    plans, tuning = _plans(run), run.settings.tuning.products
+    plans, tuning = plans_of(run), run.settings.tuning.products
     if len(plans) > _MOST_SOURCES:
         raise ReconstructionError(f"{len(plans)} images are more than source.tif can number: set products.make = none")
-    sharp = run.settings.dense.model_copy(update={"max_image_size": _SHARP})
-    views = [View(p.name, pinhole(p, sharp)) for p in plans]
+    pictures = Pictures.of(run, plans)
+    views = [View(p.name, camera) for p, camera in zip(plans, pictures.cameras())]
     counted = run.receipts.read("cloud")["counts"]
     place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
     with reading(run.path(CLOUD)):
         sample = copc_sample(run.path(CLOUD), place.origin, _SAMPLE)
     survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
-    pictures = _Pictures(run.folder, plans, sharp)
     about = {"place": place, "tuning": tuning, "tile": TILE}
     work = [_Work(run.folder, s, **about, pictures=pictures, views=views) for s in surfaces]
     bare = [
@@ -86,32 +79,11 @@ def products(run: Run) -> Outcome:
     return Outcome({"surfaces": len(surfaces), "pixels": pixels}, notes=tuple(notes))
 
 
-def _plans(run: Run) -> list[ViewPlan]:
-    """The images of the model in the world, by name."""
-    images = load_model(run.path("sparse", "world")).images.values()
-    there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
-    return [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
-
-
-@dataclass(frozen=True, eq=False)
-class _Pictures:
-    """Sources of the images' pixels: at their own resolution, undistorted."""
-
-    folder: Path
-    plans: list[ViewPlan]
-    sharp: DenseSettings
-
-    def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
-        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
-        return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask
-
-
 @dataclass(frozen=True, eq=False)
 class _Work(OnSurface):
     """The common rasters of one surface, and the images that give it colour."""
 
-    pictures: _Pictures
+    pictures: Pictures
     views: list[View]
 
     def steps(self) -> list[Step]:

@@ -26,6 +26,8 @@ from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import Tuning as FilterTuning
 from tiegraph.masks.settings import MasksSettings, RefineSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
+from tiegraph.mesh.settings import MeshSettings
+from tiegraph.mesh.tuning import Tuning as MeshTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.odometry.tuning import Tuning as OdometryTuning
@@ -77,6 +79,7 @@ class Tunings(Section):
     dense: DenseTuning = Field(default_factory=DenseTuning)
     cloud: CloudTuning = Field(default_factory=CloudTuning)
     products: ProductsTuning = Field(default_factory=ProductsTuning)
+    mesh: MeshTuning = Field(default_factory=MeshTuning)
     evaluate: EvaluateTuning = Field(default_factory=EvaluateTuning)
     targets: TargetsTuning = Field(default_factory=TargetsTuning)
     odometry: OdometryTuning = Field(default_factory=OdometryTuning)
@@ -109,6 +112,7 @@ class Settings(Section):
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     report: ReportSettings = Field(default_factory=ReportSettings)
     shots: ShotsSettings = Field(default_factory=ShotsSettings)
+    mesh: MeshSettings = Field(default_factory=MeshSettings)
     tuning: Tunings = Field(default_factory=_tunings)
 
 

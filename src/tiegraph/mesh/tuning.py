@@ -1,0 +1,57 @@
+"""What the mesh decides by: each constant with its unit, its meaning and where its value comes from."""
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class SurfaceTuning(Section):
+    """From points to triangles (`surface.py`)."""
+
+    reach: float = Field(3.0, gt=0)
+    """Gaps are bridged as far as this many details from the nearest point, ..."""
+    sigmas: float = Field(3.0, gt=0)
+    """... or so many standard deviations of that point, whichever is more."""
+    rim: float = Field(1.0, gt=0)
+    """At its border the surface ends this many details from the nearest point."""
+    border_rounds: int = Field(2, ge=0)
+    """Times that teeth are taken off the border and it is smoothed."""
+    least_share: float = Field(0.002, ge=0, lt=1)
+    """Pieces with a smaller share of all faces are strays."""
+
+
+class ViewTuning(Section):
+    """Which image a face has its colour from (`views.py`)."""
+
+    angle_power: float = Field(2.0, ge=0)
+    """An image counts by its pixels on a face and by the cosine of its angle to it to this power, that of the
+    orthophoto."""
+    border: float = Field(0.05, gt=0, lt=0.5)
+    """Nearer to the image border or mask than this share of the image size it counts less, in proportion."""
+    unconfirmed: float = Field(0.05, ge=0, le=1)
+    """Weight of an image whose own depth map has no depth there, beside one that has the surface's."""
+    shade_sigmas: float = Field(3.0, gt=0)
+    """What lies this many standard deviations behind what the image saw is hidden: as of the orthophoto."""
+    together: float = Field(4.0, ge=0)
+    """How strongly neighbours want one image: a face goes along with all its neighbours unless its own best image is
+    exp(4) times as good."""
+    rounds: int = Field(30, ge=0)
+    """Times that neighbours are asked: patches do not change any more."""
+    least_faces: int = Field(30, ge=1)
+    """Smaller patches go to an image of a neighbouring one that sees them."""
+
+
+class TextureTuning(Section):
+    """Colours (`levelling.py`)."""
+
+    smooth: float = Field(0.1, gt=0)
+    """Weight of differences within a patch beside those across its border, when colours are levelled: as Waechter,
+    Moehrle and Goesele (2014)."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    surface: SurfaceTuning = Field(default_factory=SurfaceTuning)
+    views: ViewTuning = Field(default_factory=ViewTuning)
+    texture: TextureTuning = Field(default_factory=TextureTuning)

@@ -1,0 +1,237 @@
+"""Which image each face has its colour from.
+
+What an image sees of the mesh: the mesh is drawn into it as a buffer of depths, and the image's own depth map stands
+before it what the mesh does not have. An image that sees a face whole counts by the pixels that it has on it and by its
+angle. Neighbours then agree on few images: a Potts field over the faces, solved by its mean field.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.stereo import Pinhole
+from tiegraph.mesh.fragments import fragments
+from tiegraph.mesh.surface import Mesh, hanging, pieces
+from tiegraph.mesh.tuning import ViewTuning
+from tiegraph.scene.results import DepthMap
+from tiegraph.scene.sorting import Arrays
+
+UNSEEN = -1
+_FINEST = 1600  # pixels along the longer side of a buffer: bounds its memory and time
+_STEEPEST = 5.0  # tangent of the angle at which a face is seen, for how far its depth may be off
+_AROUND_PX = 16  # pixels of a buffer along the edge of a cell, in which places are counted whose depth it confirms
+_FACES = 200_000  # drawn at once
+_MOST_VIEWS = 8  # of a face that are compared: the best
+_ABSORBED = 3  # times that small patches go to their neighbours
+
+
+@dataclass(frozen=True)
+class View:
+    """An image that may give colour: its name and undistorted camera in the world."""
+
+    name: str
+    camera: Pinhole
+
+
+@dataclass(frozen=True, eq=False)
+class Seen(Arrays):
+    """The faces (N,) that an image sees whole, and how well (N,) f4 it shows each: pixels in a unit of length,
+    weighted."""
+
+    face: np.ndarray
+    quality: np.ndarray
+
+
+def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel coordinates (..., 2) of world points (..., 3), and their depths (...); NaN behind the camera."""
+    seen = xyz @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
+    z = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+    x = camera.K[0, 0] * seen[..., 0] / z + camera.K[0, 2]
+    y = camera.K[1, 1] * seen[..., 1] / z + camera.K[1, 2]
+    return np.stack([x, y], axis=-1), z
+
+
+def focal(camera: Pinhole) -> float:
+    """Pixels per unit of tangent."""
+    return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+
+
+def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuning: ViewTuning) -> Seen:
+    """The faces of a mesh that an image sees whole, through the pixels of ``mask`` (H, W) bool; ``own``: its depth map,
+    if it has one."""
+    camera = view.camera
+    xy, z = project(camera, mesh.xyz)
+    shrunk = min(1.0, _FINEST / max(camera.size))
+    size = (max(1, round(camera.size[0] * shrunk)), max(1, round(camera.size[1] * shrunk)))
+    scale = np.array(camera.size) / size
+    corners = mesh.corners
+    faces = np.flatnonzero(_inside(xy, z, camera.size, corners))
+    depth = _drawn(xy / scale, z, corners[_touching(xy, z, camera.size, corners)], size[::-1])
+    middle = mesh.xyz[corners[faces]].mean(axis=1)
+    towards = transforms.centre(camera.cam_from_world) - middle
+    distance = np.linalg.norm(towards, axis=1)
+    front = np.einsum("nk,nk->n", towards, mesh.normals[faces]) / np.where(distance > 0, distance, 1.0)
+    faces, middle, front = faces[front > 0], middle[front > 0], front[front > 0]
+    steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / front, _STEEPEST)
+    at, deep = project(camera, middle)
+    pixel = deep / focal(camera)
+    play = pixel * scale.max() * (1 + 2 * steep)
+    free = np.ones(len(faces), bool)
+    for k in range(4):  # corners and middle
+        place, there = (xy[corners[faces, k]], z[corners[faces, k]]) if k < 3 else (at, deep)
+        column, row = (np.clip((place / scale).astype(int)[:, a], 0, size[a] - 1) for a in (0, 1))
+        free &= there <= depth[row, column] + play
+    confirmed = _confirmed(own, at, deep, play, size, scale, tuning)
+    away = _away(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
+    free &= (away > 0) & (confirmed >= 0)
+    inner = np.minimum(1.0, away / tuning.border)
+    share = _share_around(at / scale, confirmed, size)
+    quality = front**tuning.angle_power / pixel * inner * (tuning.unconfirmed + share)
+    return Seen(faces[free], quality[free].astype(np.float32))
+
+
+def _inside(xy: np.ndarray, z: np.ndarray, size: tuple[int, int], corners: np.ndarray) -> np.ndarray:
+    """Which faces lie in the image with all corners."""
+    with np.errstate(invalid="ignore"):
+        there = (z > 0) & (xy >= 0).all(axis=1) & (xy <= size).all(axis=1)
+    return np.asarray(there[corners].all(axis=1))
+
+
+def _touching(xy: np.ndarray, z: np.ndarray, size: tuple[int, int], corners: np.ndarray) -> np.ndarray:
+    """Which faces before the camera may touch the image."""
+    with np.errstate(invalid="ignore"):
+        out = [xy[:, 0] < 0, xy[:, 1] < 0, xy[:, 0] > size[0], xy[:, 1] > size[1]]
+    beside = np.any([side[corners].all(axis=1) for side in out], axis=0)
+    return np.asarray((z > 0)[corners].all(axis=1) & ~beside)
+
+
+def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Depths (rows, columns) of the nearest faces; pixels at an edge have those of what lies before it."""
+    depth = np.full(shape, np.inf)
+    for k in range(0, len(corners), _FACES):
+        some = corners[k : k + _FACES]
+        for drawn in fragments(xy[some], shape, slack=0.01):
+            inverse = np.einsum("nk,nk->n", drawn.weight, 1 / z[some[drawn.triangle]])
+            np.minimum.at(depth, (drawn.row, drawn.column), 1 / inverse)
+    return cv2.erode(depth, np.ones((3, 3), np.uint8))
+
+
+def _away(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) distance to the image border or mask as a share of the shorter side, 0 = masked."""
+    usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+    padded = np.pad(usable.astype(np.uint8), 1)
+    return cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / min(size)
+
+
+def _confirmed(
+    own: DepthMap | None,
+    at: np.ndarray,
+    deep: np.ndarray,
+    play: np.ndarray,
+    size: tuple[int, int],
+    scale: np.ndarray,
+    tuning: ViewTuning,
+) -> np.ndarray:
+    """(N,) 1 where the image's own depth is that of the places, 0 where it has none, -1 where it lies before them."""
+    if own is None:
+        return np.zeros(len(at))
+    high, wide = own.depth_m.shape
+    ratio = np.array([wide, high]) / (np.array(size) * scale)
+    column, row = (np.clip((at * ratio).astype(int)[:, a], 0, (wide, high)[a] - 1) for a in (0, 1))
+    behind = deep - own.depth_m[row, column]
+    close = play * max(1.0, 1 / float(ratio.min())) + tuning.shade_sigmas * own.sigma_m[row, column]
+    with np.errstate(invalid="ignore"):
+        return np.where(behind > close, -1.0, np.where(np.abs(behind) <= close, 1.0, 0.0))
+
+
+def _share_around(at: np.ndarray, confirmed: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(N,) share of the places around each, pixels (N, 2) of the buffer, whose depth the image confirms: whether it has
+    a depth in just one place says little."""
+    wide, high = (s // _AROUND_PX + 1 for s in size)
+    column, row = (np.clip((at[:, a] // _AROUND_PX).astype(int), 0, (wide, high)[a] - 1) for a in (0, 1))
+    there = [np.bincount(row * wide + column, w, wide * high).reshape(high, wide) for w in (confirmed > 0, None)]
+    total = [cv2.GaussianBlur(t.astype(float), (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT) for t in there]
+    smooth = cv2.resize(total[0] / np.maximum(total[1], 1e-12), None, fx=_AROUND_PX, fy=_AROUND_PX)
+    return np.asarray(smooth[tuple(np.clip(at[:, a].astype(int), 0, size[a] - 1) for a in (1, 0))])
+
+
+# --- choice -----------------------------------------------------------------------------------------------------------
+
+
+def chosen(seen: list[Seen], mesh: Mesh, tuning: ViewTuning) -> np.ndarray:
+    """(F,) number of the image that each face has its colour from, UNSEEN = none sees it."""
+    table = _best(seen, len(mesh.corners))
+    pairs = mesh.neighbours()
+    label = _agreed(table, pairs, tuning)
+    for _ in range(_ABSORBED):
+        label = _absorbed(label, table, pairs, tuning.least_faces)
+    return label
+
+
+def _best(seen: list[Seen], faces: int) -> csr_matrix:
+    """(F, K) how well the best images show a face, 1 = the best; what is stored is seen."""
+    face = np.concatenate([s.face for s in seen]) if seen else np.zeros(0, int)
+    view = np.repeat(np.arange(len(seen)), [len(s.face) for s in seen])
+    quality = np.concatenate([s.quality for s in seen]) if seen else np.zeros(0)
+    quality = np.maximum(quality, 1e-12)
+    order = np.lexsort((view, -quality, face))
+    face, view, quality = face[order], view[order], quality[order]
+    first = np.searchsorted(face, face)
+    kept = np.arange(len(face)) - first < _MOST_VIEWS
+    shape = (faces, max(len(seen), 1))
+    return coo_matrix(((quality / quality[first])[kept], (face[kept], view[kept])), shape).tocsr()
+
+
+def _agreed(table: csr_matrix, pairs: np.ndarray, tuning: ViewTuning) -> np.ndarray:
+    """The best label of each face beside its neighbours': the mean field of a Potts model."""
+    faces = table.shape[0]
+    ends = np.concatenate([pairs, pairs[:, ::-1]])
+    beside = coo_matrix((np.ones(len(ends)), ends.T), (faces, faces)).tocsr()
+    beside.data /= np.maximum(np.diff(beside.indptr), 1)[np.repeat(np.arange(faces), np.diff(beside.indptr))]
+    row = np.repeat(np.arange(faces), np.diff(table.indptr))
+    belief = _normalised(table.data, row, faces)
+    for k in range(tuning.rounds):  # ever more strongly, or each would hold on to what its next neighbours had at first
+        around = beside @ csr_matrix((belief, table.indices, table.indptr), table.shape)
+        wish = np.asarray(around[row, table.indices]).ravel() if len(row) else belief
+        belief = _normalised(table.data * np.exp(tuning.together * (k + 1) / tuning.rounds * wish), row, faces)
+    label = np.full(faces, UNSEEN)
+    order = np.lexsort((table.indices, belief, row))  # the last of each row is its best
+    label[row[order]] = table.indices[order]
+    return label
+
+
+def _normalised(values: np.ndarray, row: np.ndarray, rows: int) -> np.ndarray:
+    total = np.bincount(row, values, rows)
+    return np.asarray(values / total[row])
+
+
+def _absorbed(label: np.ndarray, table: csr_matrix, pairs: np.ndarray, least: int) -> np.ndarray:
+    """Small patches given to the neighbouring image that sees most of their faces, face by face where it sees them."""
+    patch = patches(label, pairs)
+    small = np.bincount(patch)[patch] < least
+    out = label.copy()
+    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+    across = small[a] & (label[a] != label[b]) & (label[b] != UNSEEN)
+    where = (patch[a[across]], label[b[across]])
+    wish = coo_matrix((np.ones(len(where[0])), where), (patch.max() + 1, table.shape[1])).tocsr()
+    loud = np.asarray(wish.argmax(axis=1)).ravel()
+    face = np.flatnonzero(small & (np.diff(wish.indptr)[patch] > 0))
+    if len(face):
+        sees = np.asarray(table[face, loud[patch[face]]]).ravel() > 0
+        out[face[sees]] = loud[patch[face[sees]]]
+    return out
+
+
+def patches(label: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """(F,) number of the connected patch of one image that a face is of."""
+    same = label[pairs[:, 0]] == label[pairs[:, 1]]
+    return pieces(len(label), pairs[same])
+
+
+def without_bubbles(mesh: Mesh, label: np.ndarray) -> np.ndarray:
+    """(F,) bool, False for what no image sees and what reaches the border of the mesh: there it is a guess. What is
+    unseen in the midst of seen faces, such as a crack, stays."""
+    return ~hanging(mesh, label == UNSEEN)

@@ -1,0 +1,283 @@
+"""Glue of the mesh: the finished cloud as a surface, coloured from the images."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tiegraph.child import run_in_child
+from tiegraph.errors import ReconstructionError
+from tiegraph.limits import need_room
+from tiegraph.mesh.files import Textured, glb, mtl, obj
+from tiegraph.mesh.levelling import levelled, vertex_mean
+from tiegraph.mesh.settings import MeshSettings
+from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
+from tiegraph.mesh.texture import (
+    PAD,
+    Layout,
+    Nodes,
+    bare_blocks,
+    cut_out,
+    edge_colours,
+    face_colours,
+    laid_out,
+    levelled_chart,
+    nodes_of,
+    own_faces,
+    own_sides,
+    places,
+)
+from tiegraph.mesh.tuning import Tuning
+from tiegraph.mesh.views import UNSEEN, Seen, View, chosen, seen_by, without_bubbles
+from tiegraph.pipeline.cloud import accuracy_said
+from tiegraph.pipeline.dense import depth_path, read_depth
+from tiegraph.pipeline.files import load_as, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.pictures import Pictures, plans_of
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, save_json, write_atomic
+from tiegraph.scene.atomic import replacing, scratch_folder
+from tiegraph.scene.cloudfile import shift_of
+from tiegraph.scene.copc import copc_sample
+
+FOLDER, SCRATCH = "mesh", ".work"
+CLOUD = "cloud.copc.laz"
+_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92]
+_READ = 3 * MOST_POINTS  # points that are read of the cloud, and then thinned
+_BYTES = 200  # of a point in the files of COLMAP's surface
+
+
+def mesh(run: Run) -> Outcome:
+    """The mesh of the cloud with its textures, as GLB, OBJ and PLY. What is finished of it stays after an
+    interruption: the surface, what each image sees and gives, each texture."""
+    plans = plans_of(run)
+    pictures = Pictures.of(run, plans)
+    views = [View(p.name, camera) for p, camera in zip(plans, pictures.cameras())]
+    work = _Work(run.folder, pictures, views, settings=run.settings.mesh, tuning=run.settings.tuning.mesh)
+    images = list(range(len(views)))
+    run.reporter.total(2 * len(images) + 3)
+    _once(run, work.path("surface"), partial(_make_surface, run, work))
+    _each(run, images, partial(work.path, "view"), work.make_view)
+    _once(run, work.path("layout"), work.make_layout)
+    _each(run, images, partial(work.path, "colours"), work.make_colours)
+    _once(run, work.path("levels"), work.make_levels)
+    layout = work.layout()
+    pages = list(range(len(layout.pages)))
+    run.reporter.total(2 * len(images) + 3 + len(pages), 2 * len(images) + 3)
+    _each(run, pages, work.texture, work.make_texture)
+    return _written(run, work, layout)
+
+
+def _once(run: Run, path: Path, make: Callable[[], None]) -> None:
+    if not path.exists():
+        make()
+    run.reporter.advance()
+
+
+def _each(run: Run, items: list[int], path: Callable[[int], Path], make: Callable[[int], None]) -> None:
+    todo = [k for k in items if not path(k).exists()]
+    run.reporter.advance(len(items) - len(todo))
+    run.map(make, todo)
+
+
+def _make_surface(run: Run, work: "_Work") -> None:
+    """The triangles near the points, without textures."""
+    with reading(run.path(CLOUD)):
+        cloud = copc_sample(run.path(CLOUD), world_origin(run.folder), _READ)
+    if not len(cloud):
+        raise ReconstructionError(f"{run.path(CLOUD)} has no point: look at the depth maps in the report")
+    spacing = run.receipts.read("cloud")["counts"]["voxel"]
+    run.path(FOLDER, SCRATCH).mkdir(parents=True, exist_ok=True)
+    need_room(run.path(FOLDER, SCRATCH, "surface"), _BYTES * min(len(cloud), MOST_POINTS))
+    call = partial(run_in_child, log=run.log, task="COLMAP's surface")
+    with scratch_folder(run.path(FOLDER, SCRATCH)) as scratch:
+        found = mesh_of(cloud, spacing, work.settings, work.tuning.surface, scratch, call)
+    save_npz(work.path("surface"), **vars(found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What a mesh is made of, and where what is finished of it is."""
+
+    folder: Path
+    pictures: Pictures
+    views: list[View]
+    settings: MeshSettings
+    tuning: Tuning
+
+    def path(self, kind: str, k: int | None = None) -> Path:
+        """Where a finished part is until all are."""
+        return self.folder / FOLDER / SCRATCH / (f"{kind}.npz" if k is None else f"{kind}_{k}.npz")
+
+    def texture(self, k: int) -> Path:
+        """Where a texture is."""
+        return self.folder / FOLDER / f"texture{k}.jpg"
+
+    def layout(self) -> Layout:
+        """Where patches are on the textures."""
+        return load_as(self.path("layout"), Layout.from_npz)
+
+    def nodes(self) -> Nodes:
+        """Whose colours are levelled."""
+        return load_as(self.path("nodes"), Nodes.from_npz)
+
+    def mesh(self, kind: str = "mesh") -> Mesh:
+        """The triangles."""
+        return Mesh(**load_npz(self.path(kind)))
+
+    def make_view(self, k: int) -> None:
+        """What an image sees of the surface."""
+        name = self.views[k].name
+        own = read_depth(name, self.folder) if depth_path(self.folder, name).exists() else None
+        mask = self.pictures.picture(k)[1]
+        save_npz(
+            self.path("view", k), **seen_by(self.views[k], self.mesh("surface"), mask, own, self.tuning.views).to_npz()
+        )
+
+    def make_layout(self) -> None:
+        """Which image gives each face its colour, without the faces that none saw; where they are on the textures."""
+        whole = self.mesh("surface")
+        seen = [load_as(self.path("view", k), Seen.from_npz) for k in range(len(self.views))]
+        label = chosen(seen, whole, self.tuning.views)
+        if (label == UNSEEN).all():
+            raise ReconstructionError("no image sees the surface of the cloud: look at the masks in the report")
+        for keep in (without_bubbles, lambda m, _: without_strays(m, self.tuning.surface)):
+            kept = keep(whole, label)
+            whole, label = whole.of_faces(kept), label[kept]
+        whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
+        label = label[kept]
+        layout = laid_out(whole, label, self.views, self.settings.texture_px, self.settings.textures)
+        save_npz(self.path("mesh"), **vars(whole))
+        save_npz(self.path("nodes"), **nodes_of(whole, layout).to_npz())
+        save_npz(self.path("layout"), **layout.to_npz())
+
+    def make_colours(self, k: int) -> None:
+        """The patches of an image, and its colours at their vertices; nothing if it has none."""
+        layout = self.layout()
+        if not (layout.image == k).any():
+            return save_npz(self.path("colours", k))
+        rgb = self.pictures.picture(k)[0]
+        charts = cut_out(rgb, layout, k)
+        flat = np.concatenate([c.ravel() for c in charts])
+        nodes, whole, view = self.nodes(), self.mesh(), self.views[k]
+        edges = edge_colours(rgb, whole, nodes, own_sides(layout, nodes, k), view)
+        faces = face_colours(rgb, whole, own_faces(layout, k), view)
+        return save_npz(self.path("colours", k), charts=flat, edges=edges, faces=faces)
+
+    def make_levels(self) -> None:
+        """What is added to the colours of each patch, and the colours of the vertices."""
+        layout, nodes, whole = self.layout(), self.nodes(), self.mesh()
+        edges, faces = np.zeros((len(nodes.seam), 2, 3)), np.full(whole.corners.shape, np.nan)
+        for k in np.unique(layout.image):
+            found = load_npz(self.path("colours", k))
+            edges[tuple(own_sides(layout, nodes, k).T)] = found["edges"]
+            faces[own_faces(layout, k)] = found["faces"]
+        change = levelled(nodes, edges, self.tuning.texture)
+        rgb = vertex_mean(whole, nodes, change, faces)
+        save_npz(self.path("levels"), change=change.astype(np.float32), rgb=rgb)
+
+    def make_texture(self, page: int) -> None:
+        """A texture of the patches that are on it."""
+        layout, nodes, whole, levels = self.layout(), self.nodes(), self.mesh(), load_npz(self.path("levels"))
+        place, texture = places(whole, layout, self.views)
+        width, height = layout.pages[page]
+        out = np.full((height, width, 3), 128, np.uint8)
+        order = np.argsort(layout.patch, kind="stable")
+        start = np.searchsorted(layout.patch[order], np.arange(len(layout.image) + 1))
+        for p, chart in self._charts(layout, page):
+            face = order[start[p] : start[p + 1]]
+            corner = layout.at[p] - PAD
+            change = levels["change"][nodes.corner[face]]
+            high, wide = chart.shape[:2]
+            out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = levelled_chart(
+                chart, place[face] - corner, change
+            )
+        bare = np.flatnonzero((layout.patch == UNSEEN) & (texture == page))
+        blocks = bare_blocks(levels["rgb"][whole.corners[bare]])
+        for (x, y), block in zip(layout.bare_at[layout.bare_page == page] - 1, blocks):
+            out[y : y + 4, x : x + 4] = block
+        write_atomic(self.texture(page), cv2.imencode(".jpg", out[..., ::-1], _JPEG)[1].tobytes())
+
+    def _charts(self, layout: Layout, page: int) -> Iterator[tuple[int, np.ndarray]]:
+        """(number, rectangle) of the patches on a texture."""
+        for k in np.unique(layout.image[layout.page == page]):
+            flat, done = load_npz(self.path("colours", k))["charts"], 0
+            for p in np.flatnonzero(layout.image == k):
+                wide, high = layout.inner[p] + 2 * PAD
+                if layout.page[p] == page:
+                    yield int(p), flat[done : done + 3 * wide * high].reshape(high, wide, 3)
+                done += 3 * wide * high
+
+
+def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
+    """Write the files of a mesh whose textures are there."""
+    whole = work.mesh()
+    place, texture = places(whole, layout, work.views)
+    coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
+    textured = Textured(coloured, place=place, texture=texture, pages=layout.pages)
+    said, lines = _said(run)
+    pictures = [work.texture(k) for k in range(len(layout.pages))]
+    folder = run.path(FOLDER)
+    save_json(folder / "offset.json", said)
+    write_atomic(folder / "mesh.glb", glb(textured, [p.read_bytes() for p in pictures], said))
+    write_atomic(folder / "mesh.mtl", mtl([p.name for p in pictures]))
+    with replacing(folder / "mesh.obj") as temporary, open(temporary, "wb") as file:
+        file.writelines(obj(textured, "mesh.mtl", _decimals(whole), lines))
+    write_atomic(folder / "mesh.ply", ply_of(coloured, said=tuple(lines)))
+    return _outcome(run, work, coloured, layout)
+
+
+def _decimals(whole: Mesh) -> int:
+    """Decimals of coordinates: six digits of the size of the whole, tenths of a millimetre of a hundred metres."""
+    return int(np.clip(6 - np.floor(np.log10(max(float(np.ptp(whole.xyz, axis=0).max()), 1e-6))), 3, 12))
+
+
+def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
+    """What leads from the files' coordinates to those of the CRS, and the same in lines (ASCII)."""
+    origin, unit = world_origin(run.folder), world_unit(run.folder)
+    shift = shift_of(origin)
+    matrix = np.eye(4)
+    matrix[:3, 3] = shift
+    crs = None if origin is None else origin.crs
+    said = {"crs": crs, "unit": unit, "shift": shift.tolist(), "crs_from_local": matrix.tolist()}
+    lines = [
+        "tiegraph",
+        f"crs {crs or 'none'}, unit {unit}",
+        "shift {!r} {!r} {!r} (to be added)".format(*shift.tolist()),
+    ]
+    if origin is not None:
+        said["world_zero"] = {"lat_deg": origin.lat_deg, "lon_deg": origin.lon_deg, "height_m": origin.height_m}
+    accuracy = accuracy_said(run, run.receipts.read("cloud")["counts"])
+    said["accuracy"] = accuracy
+    return said, [*lines, accuracy] if accuracy else lines
+
+
+def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
+    unit = world_unit(run.folder)
+    bare = int(np.count_nonzero(layout.patch == UNSEEN))
+    cut = len(work.mesh("surface").corners) - len(whole.corners)
+    counts: dict[str, float] = {
+        "faces": len(whole.corners),
+        "vertices": len(whole.xyz),
+        "textures": len(layout.pages),
+        "patches": len(layout.image),
+        "images": len(np.unique(layout.image)),
+        "unseen": bare,
+        "cut": cut,
+        "area": float(f"{np.linalg.norm(whole.across, axis=1).sum() / 2:.4g}"),
+    }
+    notes = []
+    shrunk = (layout.inner / layout.size).min(axis=1)
+    if np.median(shrunk) < 0.9:
+        notes.append(
+            f"half of the patches have {np.median(shrunk):.0%} of their images' resolution or less (mesh.textures, "
+            "mesh.texture_px)"
+        )
+    if cut:
+        notes.append(f"{cut} faces at the border of the surface were cut off, for no image sees them")
+    if unit != "m":
+        notes.append("the model has no scale: lengths are in its own units")
+    return Outcome(counts, notes=tuple(notes))
