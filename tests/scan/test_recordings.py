@@ -135,8 +135,8 @@ GOOD = payloads("GPS9", world.walk(START, 10, 10))[0]
 HUGE = struct.pack(">4scBH", b"GPS9", b"?", 255, 65535)
 SCALES = (10**7, 10**7, 1000, 1000, 100, 1, 1000, 100, 1)
 BAD = {
-    "cut off": (GOOD[:-20], "'DEVC' says"),
-    "too long": (GOOD[:-328] + HUGE + GOOD[-320:], "'GPS9' says 65535 rows"),
+    "cut off": (GOOD[:-20], "'DEVC' announces"),
+    "too long": (GOOD[:-328] + HUGE + GOOD[-320:], "'GPS9' announces 65535 rows"),
     "no scale": (world.gps9(world.walk(START, 3, 10), scales=()), "and 0 scales"),
     "scale of zero": (world.gps9(world.walk(START, 3, 10), scales=(0, *SCALES[1:])), "9 scales"),
     "few scales": (world.gps9(world.walk(START, 3, 10), scales=SCALES[:4]), "and 4 scales"),
@@ -281,7 +281,7 @@ def test_damaged_trailers_are_named_and_the_video_keeps_its_time(tmp_path: Path,
     for gap in (0, 300):
         assert "trailer cannot be read (its stated length is 2147483648 bytes" in note_of(gap, -40, 2**31)
         last = note_of(gap, -76, 10**6)
-        assert "its last record" in last and "says 1000000 bytes" in last
+        assert "its last record" in last and "announces 1000000 bytes" in last
     assert "its index lists record 7 with 2120 bytes at 4294967295" in note_of(300, 0, 2**32 - 1)
 
 

@@ -139,7 +139,7 @@ def test_a_pass_without_a_trajectory_and_what_a_file_says_of_itself_is_noted(two
     for name in ("up", "dwn"):
         write_tum(vo / f"vo_{name}.tum", np.arange(3.0), drive(3))
     notes = two_passes.scan(trajectory=vo).notes
-    assert says(notes, "no trajectory of pass down: none of the other files than vo_up.tum")
+    assert says(notes, "no trajectory of pass down: no file besides vo_up.tum")
     rows = (vo / "vo_up.tum").read_text().splitlines()
     (vo / "vo_up.tum").write_text("\n".join([rows[0], rows[2], rows[1], *rows[3:], rows[-1]]))
     notes = two_passes.scan(trajectory=vo).notes
@@ -260,13 +260,13 @@ def test_a_transforms_json_that_is_none(tmp_path: Path, text: str, words: str) -
 def test_poses_of_other_images_are_refused(one_pass: Survey, tmp_path: Path) -> None:
     poses = {f"{k}.png": rigid(np.eye(3), np.array([k, 0.0, 0])) for k in range(3)}
     (tmp_path / "t.json").write_text(transforms(poses))
-    with refused(r"t.json: none of its 3 images is here: ./images/0.png .*as up/cam0/000000.jpg"):
+    with refused(r"t.json: none of its 3 images is here: ./images/0.png .*like up/cam0/000000.jpg"):
         one_pass.scan(trajectory=tmp_path / "t.json")
 
 
 def test_the_folder_above_a_model_says_where_it_is(one_pass: Survey, canal: Path, tmp_path: Path) -> None:
     shutil.copytree(canal / "truth" / "colmap", tmp_path / "sparse" / "0")
-    with refused(r"--trajectory .*/sparse: no poses in it; .*/sparse/0 has some: give that"):
+    with refused(r"--trajectory .*/sparse: no poses in it; .*/sparse/0 has some: give that path"):
         one_pass.scan(trajectory=tmp_path / "sparse")
 
 
