@@ -207,7 +207,7 @@ def test_names_that_fit_several_images_and_two_of_one_are_errors_that_name_them(
         (papers_rig(tmp_path / "in", ("up", "down"), 1, 3), short,
          r"000000.jpg .*several images have this name: write down/cam0/000000.jpg or up/"),
         (papers_rig(tmp_path / "one", (".",), 1, 3), [f"cam0/{n}" for n in short] + short,
-         r"000000.jpg and cam0/000000.jpg may both be cam0/000000.jpg"),
+         r"000000.jpg and cam0/000000.jpg can both be cam0/000000.jpg"),
     ):  # fmt: skip
         with refused(words):
             scan(images, start=read_start(in_passes(tmp_path, names)))
@@ -274,7 +274,7 @@ def test_a_start_is_laid_on_positions_tilted_or_not(tmp_path: Path) -> None:
     east = scene.world_from_rig[:, :3, :3] @ truth["a_0.jpg"][:3, :3].T
     expected = [p[:3, :3] @ truth["a_0.jpg"][:3, :3].T for p in truth.values()]
     assert angle_deg(east, np.array(expected)).max() < 2  # of the grid's north
-    assert any("laid by a similarity on 6 positions: scale 9.0" in n for n in scene.notes)
+    assert any("fitted by a similarity to 6 positions: scale 9.0" in n for n in scene.notes)
     assert not scene.measured().has_orientations() and scene.measured().has_positions()
 
 
