@@ -26,7 +26,7 @@ HEDGES = re.compile(
 )
 """Words that say how badly something is known; such a sentence must name the quantity itself."""
 _NOT_MEANT = re.compile(
-    r"neither prove nor contradict|coarse model|pairs? (that )?contradict|pairs have no loops|no rig given"
+    r"neither prove nor contradict|coarse model|pairs? (that )?contradict|no loops decide|no rig given"
 )
 _STAGES = ("scan", "network", "match", "sparse", "georef", "evaluate")
 

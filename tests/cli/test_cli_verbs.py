@@ -188,7 +188,7 @@ def judged(tmp_path, monkeypatch, capsys):
 
 def test_coverage_judges_the_chosen_pairs_too(judged):
     code, said = judged(RING, RING)
-    assert code == 0 and said.count("no place hangs on a single link") == 2
+    assert code == 0 and said.count("no place depends on a single link") == 2
     code, said = judged(RING, CHAIN)
     assert code == 1 and "candidate pairs: 4 pairs hold 4 images together" in said
     assert "pairs that the design chose: 3 single links" in said

@@ -166,7 +166,7 @@ def test_a_budget_of_pairs_is_kept_to() -> None:
     by_pairs = designed(pairs, scene, ties, budget="pairs", pairs_per_image=6)
     assert 3 * len(scene) <= len(by_pairs.pairs.kept()) <= 3 * len(scene) + by_pairs.counts["second_links"]
     too_few = designed(pairs, scene, ties, budget="pairs", pairs_per_image=1)
-    assert f"the budget of {len(scene) // 2} pairs does not suffice" in too_few.notes[0]
+    assert f"the budget of {len(scene) // 2} pairs is not enough" in too_few.notes[0]
     assert len(np.unique(components(too_few.pairs, len(scene)))) == 1
 
 

@@ -34,7 +34,7 @@ def rig_scene(frames: int, cameras: int = 2, tracks: tuple[int, ...] = ()):
 def test_a_ring_is_sound_and_dropped_pairs_do_not_count() -> None:
     found = coverage(pairs_of("01 12 23 03"), photos(4))
     assert found.sound
-    assert found.lines == ("4 pairs hold 4 images together; no place hangs on a single link",)
+    assert found.lines == ("4 pairs connect 4 images; no place depends on a single link",)
     assert found.table["rows"] == []
     found = coverage(pairs_of("01 12 02").drop(np.array([False, True, False]), "cut"), photos(3))
     assert found.counts["pairs"] == found.counts["bridges"] == 2

@@ -158,7 +158,7 @@ def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_f
     poses[6, :3] = Rotation.from_euler("y", wrong_deg, degrees=True).as_matrix() @ poses[6, :3]
     result, _ = made.run(tmp_path, prior=Prior(poses, np.tile([3.0, 30.0], (14, 1))))
     assert result.counts["pairs"] > 10 and result.counts["refused"] == 0
-    assert ("it has 1 images at the wrong place" in result.notes[0]) == (wrong_deg > 0)
+    assert ("it has 1 images at a wrong place" in result.notes[0]) == (wrong_deg > 0)
 
 
 def test_parts_that_a_model_has_put_together_wrongly_are_not_parted_for_it(tmp_path) -> None:
@@ -170,7 +170,7 @@ def test_parts_that_a_model_has_put_together_wrongly_are_not_parted_for_it(tmp_p
     result, _ = made.run(tmp_path, prior=Prior(poses, np.tile([3.0, 30.0], (20, 1))))
     kept = result.pairs.kept()
     assert result.counts["refused"] == 0 and np.any((kept.i < 10) != (kept.j < 10))
-    assert "are all that ties parts of it" in result.notes[0]
+    assert "are the only ties of parts of it" in result.notes[0]
 
 
 def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:

@@ -162,7 +162,7 @@ def test_sigmas_are_those_of_an_axis_in_metres_with_the_scale(tmp_path: Path) ->
     assert third.sigma_m == pytest.approx(np.hypot(SCALE * 0.001, length * SCALE_SIGMA) / 3**0.5, rel=0.01)
     bare = rig_file(_run(tmp_path / "bare", _given(), poses))
     assert (
-        "the run has no sigmas of the places of b, c" in bare.said[-1] and _read(bare.text).sensors[1].sigma_m is None
+        "the run has no sigmas of the poses of b, c" in bare.said[-1] and _read(bare.text).sensors[1].sigma_m is None
     )
 
 
@@ -181,7 +181,7 @@ def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> No
     placed = _sensor_from_rig(_read(found.text))
     np.testing.assert_allclose(placed[1], poses[1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(placed[2], drawn[2], rtol=0, atol=1e-9)
-    assert says(found.said, "c stands as given: too few ties")
+    assert says(found.said, "c as given: too few ties")
 
 
 def test_constants_are_those_the_model_was_made_with_and_before_them_those_of_the_settings(tmp_path: Path) -> None:
@@ -265,7 +265,7 @@ def test_cameras_are_written_as_the_files_of_the_user_have_them(tmp_path: Path) 
     found = rig_file(_run(tmp_path / "folds", _given(), poses, params=folds))
     first = _read(found.text).sensors[0]
     assert first.model == "SIMPLE_RADIAL" and first.params[0] == pytest.approx(np.mean(FOUND[:2]))  # type: ignore[index]
-    assert says(found.said, "a: only the focal length is written, for OPENCV with")
+    assert says(found.said, "a: only the focal length is written, because OPENCV with")
 
 
 def test_a_single_camera_needs_no_metres(tmp_path: Path) -> None:

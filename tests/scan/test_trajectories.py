@@ -266,7 +266,7 @@ def test_poses_of_other_images_are_refused(one_pass: Survey, tmp_path: Path) -> 
 
 def test_the_folder_above_a_model_says_where_it_is(one_pass: Survey, canal: Path, tmp_path: Path) -> None:
     shutil.copytree(canal / "truth" / "colmap", tmp_path / "sparse" / "0")
-    with refused(r"--trajectory .*/sparse: no poses in it; .*/sparse/0 has some: give that"):
+    with refused(r"--trajectory .*/sparse: no poses in it; .*/sparse/0 has some: give that path"):
         one_pass.scan(trajectory=tmp_path / "sparse")
 
 

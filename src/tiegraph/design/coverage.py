@@ -1,8 +1,8 @@
-"""Coverage: does the network of pairs hold together, and where is it weak. Seconds on a field laptop (paper 003).
+"""Coverage: is the network of pairs connected, and where is it weak. Seconds on a field laptop (paper 003).
 
-Pairs alone do not tell: where hardly anything matches, many pairs are tried. So the matches of the previews are asked,
-which are there already. A pair that may fail at full resolution counts nothing: on small images an essential matrix
-finds twenty inliers in noise. Pairs that are all but sure to be verified join features to tracks, and frames that share
+Pairs alone do not show it: where hardly anything matches, many pairs are tried. So the existing matches of the previews
+are used. A pair that may fail at full resolution does not count: on small images an essential matrix
+finds twenty inliers in noise. Pairs that are almost sure to be verified join features to tracks, and frames that share
 few of these with all the others are named.
 """
 
@@ -28,7 +28,7 @@ _LISTED = 200  # weak links in the table, worst first
 @dataclass(frozen=True)
 class Coverage:
     """``lines`` for people, worst first; ``table`` of the weak links {"columns", "rows"}; ``counts`` by name;
-    ``sound``: everything is connected and nothing hangs on a single link."""
+    ``sound``: everything is connected and nothing depends on a single link."""
 
     lines: tuple[str, ...]
     table: dict[str, Any]
@@ -36,7 +36,7 @@ class Coverage:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is missing and nothing hangs on one link."""
+        """Whether nothing is missing and nothing depends on one link."""
         weak = ("alone", "bridges", "joints", "weak_groups", "on_few_points")
         return not any(self.counts[k] for k in weak) and (self.counts["components"] <= 1)
 
@@ -44,7 +44,7 @@ class Coverage:
 def on_few_points(pairs: Pairs, scene: Scene, ties: PreviewMatches, tuning: Tuning) -> tuple[WeaklyTied, ...]:
     """Frames, and groups of frames, that the kept pairs tie to all others by few points, by the matches of previews.
 
-    Nothing where no kept pair was previewed: there the pairs alone can be judged.
+    Nothing if no kept pair was previewed: then only the pairs can be judged.
     """
     kept = pairs.kept()
     own = ties.where(np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j)))
@@ -57,7 +57,7 @@ def on_few_points(pairs: Pairs, scene: Scene, ties: PreviewMatches, tuning: Tuni
 
 
 def unknown_across(pairs: Pairs, scene: Scene, ties: PreviewMatches, weak: Sequence[WeaklyTied]) -> np.ndarray:
-    """(P,) bool: kept pairs without a preview that tie weakly tied frames to others: they may be what holds them."""
+    """(P,) bool: kept pairs without a preview that tie weakly tied frames to others: perhaps their only ties."""
     side = np.full(scene.frames, -1)
     for number, group in enumerate(weak):
         side[list(group.frames)] = number
@@ -66,11 +66,11 @@ def unknown_across(pairs: Pairs, scene: Scene, ties: PreviewMatches, weak: Seque
 
 
 def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Coverage:
-    """Weak places of the kept pairs: images without pair, parts that are apart, single links, joints, loose groups,
-    and ``weak``, what hangs on few points (``on_few_points``).
+    """Weak places of the kept pairs: images without pair, separate components, single links, joints, loose groups,
+    and ``weak``, groups with few points (``on_few_points``).
 
-    The images of a frame are one node, for the rig holds them. A single link (bridge) is a pair, or pairs that share
-    one image, without which frames come apart; a joint (articulation point) is a frame without which they do.
+    The images of a frame are one node, because the rig connects them. A single link (bridge) is a pair, or pairs that
+    share one image, without which frames come apart; a joint (articulation point) is a frame without which they do.
     """
     kept = pairs.kept()
     links = frame_links(kept.i, kept.j, scene)
@@ -105,7 +105,7 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
 
 
 def _fine(counts: dict[str, int]) -> str:
-    return f"{counts['pairs']} pairs hold {counts['images']} images together; no place hangs on a single link"
+    return f"{counts['pairs']} pairs connect {counts['images']} images; no place depends on a single link"
 
 
 def _loose_groups(kept: Pairs, scene: Scene) -> list[tuple[str, str, int, int]]:
@@ -130,11 +130,11 @@ def _lines(rows: list[list[Any]], bridges: int, joints: int) -> tuple[str, ...]:
         out.append(f"hardly tied to the others, matched points that they share with them: {some(few, 5)}")
     single = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "single link"]
     if bridges:
-        words = f"{bridges} single {_plural('link', bridges)}, frames that hang on it in brackets"
+        words = f"{bridges} single {_plural('link', bridges)}, frames that depend on it in brackets"
         out.append(f"{words}: {some(single, 5, bridges)}")
     joint = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "joint"]
     if joints:
-        words = f"{joints} {_plural('joint', joints)} (in brackets what falls off without this frame)"
+        words = f"{joints} {_plural('joint', joints)} (in brackets the frames lost without this frame)"
         out.append(f"{words}: {some(joint, 5, joints)}")
     return tuple(out)
 

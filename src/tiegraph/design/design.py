@@ -1,9 +1,9 @@
-"""Design: which of the candidate pairs are matched at full resolution.
+"""Design: the candidate pairs that are matched at full resolution.
 
-The pairs that stay whatever a design is after: those that hold every image, and every part, to the rest. A pair may
-fail: previews promise, matching at full resolution tells. So one pair is not enough to hold an image. Across every cut
-of the graph of candidates, that around a single image and that between two halves of the survey alike, the strongest
-pairs stay until so many as are ``wanted`` of them are expected to be verified, or all of them.
+First the pairs that any design keeps: those that connect every image, and every part, to the rest. A pair may
+fail: only matching at full resolution confirms a preview. So one pair is not enough to connect an image. Across every
+cut of the graph of candidates, around a single image and between two halves of the survey alike, the strongest
+pairs stay until as many as ``wanted`` of them are expected to be verified, or all of them.
 
 The others are chosen greedily: those that add most to the network, until the accuracy by previews is near that of all.
 Gain of a pair that would join ``new`` tracks of its ``n`` matches, between images of effective resistance R in the
@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class DesignResult:
-    """The pair table with the pairs left out dropped (``cut``, ``similar``, ``weak``), what people should know, figures
+    """The pair table with the pairs left out dropped (``cut``, ``similar``, ``weak``), notes, figures
     by name, and tables {"columns", "rows"} by name."""
 
     pairs: Pairs
@@ -56,10 +56,10 @@ METHODS: dict[str, Method] = {}
 
 
 def takes_all(pairs: Pairs, scene: Scene, settings: DesignSettings, tuning: Tuning) -> bool:
-    """Whether every kept pair is to be matched: there is none, that is asked for, or these are loose photographs with
+    """Whether every kept pair is matched: there is none, it is asked for, or these are loose photographs with
     so few that matching them is a small part of the run.
 
-    In passes false pairs of walls that repeat cost more than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604
+    In passes false pairs of repeated walls cost more than time (canal_demo with all 2734 pairs 9.1 mm, with the 1604
     chosen ones 4.8 mm).
     """
     count = len(pairs.kept())
@@ -77,22 +77,22 @@ def design(
     tuning: Tuning,
     visibility: Visibility | None = None,
 ) -> DesignResult:
-    """Choose by the method of the settings; what was connected stays connected, but by some of ``METHODS``.
+    """Choose by the method of the settings; connected parts stay connected, except with some of ``METHODS``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
-    the overlap. ``visibility``, the points of a coarse model each image sees, tell which tracks all of them would join.
+    the overlap. ``visibility``, the points of a coarse model each image sees, predicts the tracks that all would join.
     Methods hybrid and top keep a maximum spanning forest of the images, two pairs without a common image from
-    every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid
+    every camera, pass and section to the rest, and a second link wherever frames would depend on one; hybrid
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs.
-    Of few pairs nothing is chosen (``takes_all``).
+    If there are few pairs, all are taken (``takes_all``).
     """
     count = len(pairs.kept())
     if takes_all(pairs, scene, settings, tuning):
         few = settings.method != "all" and count > 0
-        return _made(pairs, pairs, (f"all {count} pairs: to match so few costs next to nothing",) if few else (), {})
+        return _made(pairs, pairs, (f"all {count} pairs: matching so few costs next to nothing",) if few else (), {})
     expected = expected_matches(pairs, ties, tuning.match_prediction)
     if settings.method not in _OWN:
-        # The pairs that a method beside those of this module leaves
+        # The pairs left by a method besides those of this module
         method = cast(Method, choose_entry("design method", settings.method, METHODS))
         thin = method(pairs, scene, expected)
         return _made(pairs, thin.pairs, thin.notes, thin.counts)
@@ -116,7 +116,7 @@ def design(
 @dataclass(frozen=True)
 class _Kept:
     """K kept pairs: their rows in the table, their images, the matches expected of them (K,), and preview matches:
-    those that are known, or would be by the coarse model."""
+    known ones, or those by the coarse model."""
 
     row: np.ndarray
     i: np.ndarray
@@ -141,7 +141,7 @@ def _kept(
 def _chosen(
     kept: _Kept, start: np.ndarray, scene: Scene, allowed: int, settings: DesignSettings, tuning: Tuning
 ) -> Choice:
-    """From the start, the strongest pairs of each image, or those that the accuracy gains most by within the budget."""
+    """From the start, the strongest pairs of each image, or those with the largest gain within the budget."""
     if settings.method == "top":
         top = strongest_places(kept.i, kept.j, kept.strength, scene, settings.pairs_per_image)
         return Choice(np.union1d(start, top), np.nan, 0)
@@ -165,10 +165,10 @@ def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: in
     if settings.budget == "loss":
         return (
             f"{share}; over the previews' tracks their position sigma is {100 * choice.loss:.1f} % above that of all "
-            f"(asked: {settings.loss_percent:g} %), what full images lose only matching all would tell",
+            f"(asked: {settings.loss_percent:g} %), the loss at full resolution is known only after matching all",
         )
     if start > allowed:
-        return (f"{share}: the budget of {allowed} pairs does not suffice to hold the images together",)
+        return (f"{share}: the budget of {allowed} pairs is not enough to keep the images connected",)
     return (share,)
 
 
@@ -189,8 +189,8 @@ def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:
 
 
 def _start(kept: _Kept, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
-    """Places of the pairs every design keeps: a maximum spanning forest, two links of every group, and within ``room``
-    pairs in all what holds every image and part."""
+    """Places of the pairs that every design keeps: a maximum spanning forest, two links of every group, and within
+    ``room`` pairs in all the connections of every image and part."""
     i, j, strength = kept.i, kept.j, kept.strength
     chance = verified_chance(strength, tuning.match_prediction)
     rounds = holding(i, j, strength, chance, len(scene), tuning.holding)
@@ -203,7 +203,7 @@ def _start(kept: _Kept, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
 def _second_links(kept: _Kept, chosen: np.ndarray, scene: Scene) -> np.ndarray:
     """Places of pairs that give every single link between frames a second one, where there is a candidate for it.
 
-    A spanning forest over the pieces that hold together doubly: it crosses every cut that the chosen pairs cross once
+    A spanning forest over the doubly connected components: it crosses every cut that the chosen pairs cross once
     and another candidate crosses too (Nagamochi and Ibaraki 1992).
     """
     i, j, strength = kept.i, kept.j, kept.strength
@@ -217,7 +217,7 @@ def _second_links(kept: _Kept, chosen: np.ndarray, scene: Scene) -> np.ndarray:
     return free[forest(piece[i[free]], piece[j[free]], own, len(scene))]
 
 
-# --- the pairs that stay whatever a design is after ------------------------------------------------------------------
+# --- the pairs that any design keeps ----------------------------------------------------------------------------------
 
 
 def holding(
@@ -225,9 +225,9 @@ def holding(
 ) -> list[np.ndarray]:
     """Places of the pairs i, j (P,) that stay, in rounds; ``chance`` (P,) of being verified rises with ``strength``.
 
-    Each round is a maximum spanning forest of the pairs left over, so k rounds hold the k strongest pairs across every
-    cut (Nagamochi and Ibaraki 1992). A pair is done with when its ends are joined in so many forests that the weakest
-    pairs on the ways between them are together worth ``wanted`` sure ones: each cut it crosses is crossed by those too.
+    Each round is a maximum spanning forest of the remaining pairs, so k rounds have the k strongest pairs across every
+    cut (Nagamochi and Ibaraki 1992). A pair is finished when its ends are connected in so many forests that the weakest
+    pairs on the paths between them are together worth ``wanted`` sure ones: those cross each cut that it crosses.
     """
     left, sure = np.arange(len(i)), np.zeros(len(i))
     rounds: list[np.ndarray] = []
@@ -248,8 +248,8 @@ def holding(
 
 @dataclass(frozen=True)
 class Choice:
-    """Candidates chosen, in the order they were; ``loss`` increase of the position sigma over all candidates by the
-    measure, a share (NaN: not asked for); ``rounds`` how many it took."""
+    """Candidates chosen, in their order; ``loss`` increase of the position sigma over all candidates by the
+    measure, a share (NaN: not computed); ``rounds`` their number."""
 
     places: np.ndarray
     loss: float
@@ -264,7 +264,7 @@ def choose(
     judge: Predictor | None = None,
     enough: float | None = None,
 ) -> Choice:
-    """Greedy design from the candidates at start (K,), which must connect what is connectable; never fewer than those.
+    """Greedy design from the candidates at start (K,), which must connect all connectable images; never fewer pairs.
 
     It stops at ``most`` pairs, or where the loss (a share) that ``judge`` predicts is ``enough``.
     """
@@ -297,7 +297,7 @@ def choose(
         each = max(1, round(2 * pace * count / candidates.images))
         gain = np.where(chosen, -1.0, _gains(candidates, weight, new, tuning.net))
         picked = _apart(candidates, gain, wanted, each)
-        if not len(picked):  # nothing tells the rest apart
+        if not len(picked):  # the rest have equal gains
             picked = np.flatnonzero(~chosen)[:room]
         weight[picked] = np.maximum(new[picked], tuning.net.known * candidates.expected[picked])
         tracks.choose(picked, new)

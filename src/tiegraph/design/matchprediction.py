@@ -1,8 +1,8 @@
-"""The matches a pair may be expected to have, from the points of the coarse model that both images should see.
+"""The expected matches of a pair, from the points of the coarse model that both images should see.
 
-Only a part of the candidates is ever previewed, and a preview says little of what full resolution will find. How often
+Only a part of the candidates is ever previewed, and a preview is a weak predictor of full resolution. The rate at which
 a point is found again in a second image falls with the angle between the two rays and with the ratio of the distances:
-the previewed pairs tell how fast, and all pairs are foreseen by it in the same way.
+this law is fitted to the previewed pairs, and all pairs are predicted by it in the same way.
 """
 
 from collections.abc import Iterator
@@ -28,12 +28,12 @@ class _Law:
     by_chance: float
 
     def likely(self, angle_deg: np.ndarray, octaves: np.ndarray) -> np.ndarray:
-        """(K,) how likely points are found again, 1 where angle and distance are equal."""
+        """(K,) probability that points are found again, 1 where angle and distance are equal."""
         return np.exp(-((angle_deg / self.angle_deg) ** 2) - (octaves / self.octaves) ** 2)
 
 
 def verified_chance(expected: np.ndarray, tuning: MatchPredictionTuning) -> np.ndarray:
-    """(P,) how likely pairs of so many expected preview matches come through verification at full resolution."""
+    """(P,) probability that pairs of so many expected preview matches are verified at full resolution."""
     return expected**2 / (expected**2 + tuning.even_matches**2)
 
 
@@ -42,12 +42,12 @@ def predict_matches(
 ) -> tuple[np.ndarray, PreviewMatches]:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
-    Which of the common points match is drawn at random, with the chance of each point, and always in the same way.
-    A measured count and what the points promise are taken together by their geometric mean.
+    Which of the common points match is drawn at random, with the probability of each point, and reproducibly.
+    A measured count and the prediction by points are combined by their geometric mean.
     """
     law = _fitted(i, j, measured, visibility, tuning)
     image = np.repeat(np.arange(len(visibility.centre)), np.diff(visibility.start))
-    # Whether a point is detected in an image is alike for all its pairs.
+    # Whether a point is detected in an image is the same for all its pairs.
     detected = _uniform(visibility.point, image, image) < np.sqrt(law.rate)
     expected = np.full(len(i), np.nan)
     count, matches = np.zeros(len(i), int), [np.zeros((0, 2), np.uint16)]
@@ -84,12 +84,12 @@ class _Common:
     right: np.ndarray
 
     def rows(self, visibility: Visibility) -> tuple[np.ndarray, np.ndarray]:
-        """(K,) rows of the image and of the other in the table of sights."""
+        """(K,) rows of the image and of the other in the table of observations."""
         return visibility.start[self.image] + self.left, visibility.start[self.other] + self.right
 
 
 def _in_common(i: np.ndarray, j: np.ndarray, visibility: Visibility, by_image: np.ndarray) -> Iterator[_Common]:
-    """What the pairs i, j (P,) see in common, image by image; ``by_image`` (P,): their order by i, then j."""
+    """The common points of the pairs i, j (P,), image by image; ``by_image`` (P,): their order by i, then j."""
     place = np.full(len(visibility.xyz), -1, np.int32)
     first = np.flatnonzero(np.r_[True, np.diff(i[by_image]) != 0]) if len(i) else np.zeros(0, int)
     for rows in np.split(by_image, first[1:]) if len(i) else ():
@@ -117,7 +117,7 @@ def _chosen(
     both: _Common, visibility: Visibility, detected: np.ndarray, likely: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
     """Places of the common points that match: ``detected`` (sights,) in both images and then drawn, ``likely`` (K,)
-    ``times`` what the pair has more or less of them."""
+    ``times`` the pair's own excess or deficit."""
     left, right = both.rows(visibility)
     kept = np.flatnonzero(detected[left] & detected[right])
     chance = likely[kept] * times[both.number[kept]]
@@ -192,8 +192,8 @@ def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray) -> np.
 def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: MatchPredictionTuning) -> np.ndarray:
     """(P,) preview matches of each pair, measured or expected, at least 1.
 
-    Counted matches first; else the score; else in proportion to the predicted overlap, as previewed pairs have them;
-    else the median of what is known. A measured count below the ``floor`` of what the overlap promises is lifted.
+    Counted matches first; else the score; else in proportion to the predicted overlap, as for previewed pairs;
+    else the median of the known ones. A measured count below the ``floor`` of the prediction by overlap is raised.
     """
     counted = counted_matches(pairs, ties)
     measured = np.where(np.isnan(counted), pairs.score, counted)

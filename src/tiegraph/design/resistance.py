@@ -1,4 +1,4 @@
-"""Effective resistances and accuracy of a network of images, as of a levelling net: one unknown an image.
+"""Effective resistances and accuracy of a network of images, like a levelling net: one unknown an image.
 
 An image is an unknown height, a track of k images k observations of one unknown point. Eliminating the points leaves
 the normal matrix L = sum over tracks (I - 1 1^T / k), a graph Laplacian: the one-dimensional bundle adjustment.
@@ -82,7 +82,7 @@ class Net:
         """Mean variance of the nodes about the mean of their component (trace of the pseudo-inverse by nodes).
 
         Of a large net an estimate: the part of a few long waves exactly, the rest at random (Hutch++, Meyer et al.
-        2021, arXiv 2010.09649); plain random vectors would be off by a fifth, for long waves make up most of it.
+        2021, arXiv 2010.09649); plain random vectors would be off by a fifth, because long waves are most of it.
         """
         if self._dense is not None:
             return float(np.trace(self._dense)) / self.nodes
@@ -106,10 +106,10 @@ class Predictor:
     """Mean position variance of the images for any choice of candidates, by the one-dimensional adjustment of
     ``resistance``.
 
-    Seen pairs count by the tracks they join. What unseen pairs are expected to join, beside the tracks that hold both
-    images already, counts one a match, as far as the seen pairs have left tracks of the images apart: a feature counts
-    once, however many pairs hope for it. Images of one ``unit`` share one unknown: of a rig, the positions of frames
-    count, and a camera that sees little hangs on the others.
+    Previewed pairs count by the tracks they join. The tracks that other pairs are expected to join, beside those that
+    contain both images already, count one a match, as far as the previewed pairs have left tracks of the images
+    unjoined: a feature counts once, for any number of pairs. Images of one ``unit`` share one unknown: of a rig, the
+    positions of frames count, and a camera with few features depends on the others.
     """
 
     def __init__(self, candidates: Candidates, tuning: NetTuning, unit: np.ndarray | None = None) -> None:
@@ -127,9 +127,9 @@ class Predictor:
     def loss(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
         """Predicted increase of the position sigma over all candidates, a share: ratio of sigmas ** power - 1.
 
-        The levelling net knows no rotations, whose errors add to those of positions, and a choice is judged by the very
+        The levelling net has no rotations, whose errors add to those of positions, and a choice is judged by the very
         tracks it was made by: a power, fitted to exact covariances of bundle adjustments of full tracks at
-        losses of 5 to 30 % (benchmarks/network/design_simulated.py). Where few pairs were seen the net makes losses too
+        losses of 5 to 30 % (benchmarks/network/design_simulated.py). With few previewed pairs the net makes losses too
         large instead, and the power goes down to 1.
         """
         power = 1.0 + (self._power - 1.0) * self._seen**2
@@ -137,7 +137,7 @@ class Predictor:
         return max((value / self._all) ** (0.5 * power) - 1.0, 0.0) if self._all > 0 else 0.0
 
     def variance(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
-        """Variance in units of no meaning for chosen (E,) bool; ``tracks``: theirs, if they are joined already."""
+        """Variance in arbitrary units for chosen (E,) bool; ``tracks``: theirs, if they are joined already."""
         c = self._candidates
         tracks = joined(c, chosen, self._tuning) if tracks is None else tracks
         seen = tracks.incidence()
@@ -155,7 +155,7 @@ class Predictor:
 
 
 def joined(candidates: Candidates, chosen: np.ndarray, tuning: NetTuning) -> Tracks:
-    """The tracks of the seen ones among the chosen pairs."""
+    """The tracks of the previewed ones among the chosen pairs."""
     tracks = Tracks(candidates, tuning)
     tracks.join(np.flatnonzero(chosen & candidates.seen))
     return tracks

@@ -10,7 +10,7 @@ MethodName = Literal["hybrid", "top", "all", "fuse2014", "fuse2014_safe"]
 
 
 class DesignSettings(Section):
-    """Which of the candidate pairs are matched at full resolution."""
+    """The candidate pairs that are matched at full resolution."""
 
     method: MethodName = "hybrid"
     """hybrid: pairs that join new tracks where the network is weak; top: the best pairs of each image; all: every kept
@@ -18,7 +18,7 @@ class DesignSettings(Section):
     budget: Literal["loss", "pairs"] = "loss"
     """Method hybrid stops at loss_percent (loss) or pairs_per_image (pairs)."""
     loss_percent: float = Field(5.0, ge=0, le=1000)
-    """Budget loss: increase of the position sigma over using all candidates, by what previews show, percent. Of loose
+    """Budget loss: increase of the position sigma over using all candidates, by the previews, percent. Of loose
     photographs with few candidates all are matched."""
     pairs_per_image: int = Field(40, ge=1, le=1000)
-    """Budget pairs: pairs an image has on average; method top: pairs an image keeps because of its own ranking."""
+    """Budget pairs: mean pairs of an image; method top: pairs kept by an image's own ranking."""

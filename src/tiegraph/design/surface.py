@@ -1,7 +1,7 @@
-"""The surface and how well it is covered: by how many images, under which angles, with what expected precision.
+"""The surface and its coverage: by how many images, under which angles, with what expected precision.
 
-Points of a rough model stand for the surface. They are gathered in cells, cubes of a tenth of the usual distance, each
-parted into the side that is seen from one direction and the one seen from the other: a wall's two faces are covered by
+Points of a rough model represent the surface. They are grouped in cells, cubes of a tenth of the usual distance, each
+divided into the side seen from one direction and the one seen from the other: a wall's two faces are covered by
 different images. The precision is that of a point that all images of the cell measure, by the geometry of their rays
 alone (the inverse of the normal matrix of the intersection); its largest half axis, mostly the depth.
 """
@@ -65,7 +65,7 @@ class WeakPlace:
 
 
 def surface_map(seen: Visibility, focal_px: np.ndarray, tuning: SurfaceTuning) -> SurfaceMap:
-    """The cells of what N images of known place see; ``focal_px`` (N,) of each, NaN = not known, then it counts not."""
+    """The cells seen by N images of known pose; ``focal_px`` (N,) of each, NaN = unknown, then it does not count."""
     distances = np.concatenate([np.zeros(0), *(sights.distance for sights in _sights(seen, focal_px, np.inf))])
     if not len(distances):
         none = np.zeros(0, int)
@@ -180,7 +180,7 @@ def _judged(
 
 
 def weak_places(surface: SurfaceMap) -> tuple[WeakPlace, ...]:
-    """Where to go again: weak cells that lie side by side, the largest places first."""
+    """Places to revisit: weak cells that lie side by side, the largest places first."""
     weak = np.flatnonzero(surface.verdict > 0)
     if not len(weak):
         return ()
@@ -204,7 +204,7 @@ class CoveredSurface:
     names: Sequence[str]
 
     def lines(self) -> tuple[str, ...]:
-        """What people should know of it. Lengths in the unit of the model."""
+        """Notes on the map. Lengths in the unit of the model."""
         shares = ", ".join(f"{share:.0f} % {name}" for name, share in self.cells.shares().items())
         places = f"{len(self.places)} weakly covered places" if self.places else "no place is weakly covered"
         finite = self.cells.sigma[np.isfinite(self.cells.sigma)]

@@ -1,4 +1,4 @@
-"""Tracks of the design: which preview features are joined by the chosen pairs, and what one more pair would join."""
+"""Tracks of the design: the preview features joined by the chosen pairs, and the tracks one more pair would join."""
 
 from copy import copy
 from dataclasses import dataclass
@@ -75,9 +75,9 @@ class Candidates:
 class Tracks:
     """Sets of nodes joined so far (union-find), and for pairs without a preview the tracks they are expected to join.
 
-    The design's only state that changes: ``choose`` joins. What an unseen pair (i, j) would join is its expected
-    matches less the tracks that hold both images already, ``J``. Choosing it joins ``v`` tracks nobody can name, so the
-    expectation is carried: ``extra`` of (i, j) grows by v, and of every candidate (i, k) by v times the share of j's
+    The design's only state that changes: ``choose`` joins. An unseen pair (i, j) is expected to join its expected
+    matches less the tracks that contain both images already, ``J``. Choosing it joins ``v`` unknown tracks, so the
+    expectation is propagated: ``extra`` of (i, j) grows by v, and of every candidate (i, k) by v times the share of j's
     features that k shares with j (one step, as if these v were any of j's features).
     """
 
@@ -137,14 +137,14 @@ class Tracks:
         self.parent = unite(self.parent, ((c.left[at], c.right[at]) for at in rows))
 
     def copy(self) -> "Tracks":
-        """The same, to be joined further by itself."""
+        """A copy, to be joined further independently."""
         other = copy(self)
         other.parent, other.chosen = self.parent.copy(), self.chosen.copy()
         other.extra, other.shared = self.extra.copy(), self.shared.copy()
         return other
 
     def _expect(self, places: np.ndarray, new: np.ndarray, joint: csr_array) -> None:
-        """Carry the tracks joined by unseen pairs over to the pairs beside them."""
+        """Propagate the tracks joined by unseen pairs to the pairs beside them."""
         c, n = self.candidates, self.candidates.images
         self.extra[places] += new
         v = _symmetric(c.i[places], c.j[places], new, n)
@@ -183,7 +183,7 @@ class Tracks:
         return out
 
     def pieces(self) -> np.ndarray:
-        """(N,) tracks and single features by image, a track shared out among its observations; an image that was never
+        """(N,) tracks and single features by image, a track divided among its observations; an image that was never
         previewed has as many single features as its pairs expect."""
         size = np.bincount(self.parent, minlength=len(self.parent))
         first = self.candidates.first
@@ -191,7 +191,7 @@ class Tracks:
         return np.diff(total[first]) + np.maximum(self.features - np.diff(first), 0.0)
 
     def joint(self) -> csr_array:
-        """(N, N) tracks that two images share; worked out once after each joining, for it costs more than the rest."""
+        """(N, N) tracks that two images share; computed once after each joining, because it is the slowest step."""
         if self._joint is None:
             seen = self.incidence()
             self._joint = csr_array(seen @ seen.T)

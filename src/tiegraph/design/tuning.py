@@ -1,6 +1,6 @@
-"""What design decides by: each constant with its unit, its meaning and where its value comes from.
+"""Constants of design, each with its unit, its meaning and the source of its value.
 
-Paper 002's numbers define the method fuse2014 and stand in ``tiegraph.papers.fuse2014``.
+Paper 002's numbers define the method fuse2014 and are in ``tiegraph.papers.fuse2014``.
 """
 
 from pydantic import Field
@@ -9,52 +9,52 @@ from tiegraph.settings import Section
 
 
 class MatchPredictionTuning(Section):
-    """Matches by the points of the coarse model that two images should both see, and by the overlap, of pairs that were
-    never previewed (`matchprediction.py`)."""
+    """Matches by the points of the coarse model that two images should both see, and by the overlap, for pairs that
+    were never previewed (`matchprediction.py`)."""
 
     angles_deg: tuple[float, ...] = Field((3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), min_length=1)
-    """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
+    """Tried angles between the rays for the law: where probabilities fall to 1 / e."""
     octaves: tuple[float, ...] = Field((0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0), min_length=1)
-    """Ratios of the distances that are tried for the law, octaves: where chances fall to 1 / e."""
+    """Tried ratios of the distances for the law, octaves: where probabilities fall to 1 / e."""
     cell_deg: float = Field(1.75, gt=0)
     """Width in angle of the cells of the tables the law is fitted to."""
     cell_octaves: float = Field(0.1, gt=0)
     """Width in octaves of the cells of the tables the law is fitted to."""
     cells: tuple[int, int] = (40, 30)
-    """Number of these cells, in angle and in octaves; the last one holds what lies beyond."""
+    """Number of these cells, in angle and in octaves; the last one contains all larger values."""
     sample: int = Field(3000, gt=0)
-    """Previewed pairs that the law is fitted to: enough for its four numbers."""
+    """Previewed pairs for fitting the law: enough for its four numbers."""
     least_previewed: int = Field(30, gt=0)
     """Previewed pairs with common points below which the law is the usual one."""
     even_matches: float = Field(7.5, gt=0)
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
     floor: float = Field(0.25, ge=0, le=1)
-    """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
+    """Least share of its expectation for a pair: a preview that failed does not prove that full resolution does."""
 
 
 class HoldingTuning(Section):
-    """The pairs that stay whatever a design is after (`design.py`)."""
+    """The pairs that any design keeps (`design.py`)."""
 
     wanted: float = Field(3.0, gt=0)
     """Pairs across every cut that are expected to be verified."""
     chances: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-    """Steps of the chance of being verified, rising: a chance counts as the next one below."""
+    """Steps of the probability of being verified, rising: a probability counts as the next one below."""
     sure: float = Field(0.95, ge=0, le=1)
-    """A chance from which a pair counts as sure."""
+    """Probability from which a pair counts as sure."""
 
 
 class NetTuning(Section):
     """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`)."""
 
     wide_images: int = Field(300, gt=0)
-    """Images of a track: one of more, which wrong matches made, counts as one for each so many images in a row.
+    """Images of a track: a larger one, made by wrong matches, counts as one for each so many images in a row.
     COLMAP's mapper takes none of more than 100."""
     projections: int = Field(48, gt=0)
     """Random ones beyond: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008)."""
     waves: int = Field(24, gt=0)
     """Long waves of a net beyond, whose variance is computed one by one."""
     least_share: float = Field(0.01, ge=0, le=1)
-    """Of what an unseen pair was expected to join that is counted always: no chosen pair ties nothing."""
+    """Share of the expected tracks of an unseen pair that always counts: no chosen pair ties nothing."""
     known: float = Field(0.05, ge=0)
     """Worth of a match whose track is joined already: another observation against outliers."""
     power: float = Field(2.5, ge=1)
@@ -73,7 +73,7 @@ class GrowthTuning(Section):
     coarse: float = Field(0.10, gt=0)
     """The same for networks of many images, and for those that are dense already."""
     look: float = Field(0.20, ge=0)
-    """Growth of the network between two looks at its accuracy, which cost more than a round."""
+    """Growth of the network between two evaluations of its accuracy, which cost more than a round."""
 
 
 class SurfaceTuning(Section):
@@ -82,17 +82,17 @@ class SurfaceTuning(Section):
     cell: float = Field(0.1, gt=0)
     """Side of a cell, in median distances from image to point: an image of 60 degrees shows some ten by ten."""
     farthest: float = Field(4.0, gt=1)
-    """Median distances beyond which a point is background, which nobody surveys."""
+    """Median distances beyond which a point is background, outside the survey."""
     least_points: int = Field(3, gt=0)
     """Points of a cell: fewer are as often errors of the model."""
     image_px: float = Field(0.5, gt=0)
-    """Sigma of an image coordinate, full resolution, that a point's expected sigma is worked out with: SIFT."""
+    """Sigma of an image coordinate, full resolution, for a point's expected sigma: SIFT."""
     least_images: int = Field(3, gt=1)
     """Images of a cell: the third is the first that can contradict two (`dense` asks for as many by default)."""
     least_angle_deg: float = Field(4.0, gt=0)
-    """Between the outermost rays of a cell: below, depth is ten times as bad as what the images show across."""
+    """Least angle between the outermost rays of a cell: below, depth is ten times as bad as lateral coordinates."""
     worse: float = Field(3.0, gt=1)
-    """Times the median sigma of the survey from which on a cell is imprecise."""
+    """Factor of the survey's median sigma above which a cell is imprecise."""
 
 
 class Tuning(Section):
@@ -106,7 +106,7 @@ class Tuning(Section):
     """The same of a single frame, which needs no more to be resected: kerry_park's blurred frame, off by up to 27 %,
     shares 0 to 36. Views of an object with little texture (40 of dino) share 63 and more."""
     start_share: float = Field(0.5, ge=0, le=1)
-    """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
+    """Share of a budget of pairs for the pairs that any design keeps."""
     few_pairs: float = Field(15.0, ge=0)
     """Candidates an image of loose photographs up to which all are matched: less than a tenth of the run (25 images
     with 300 pairs), while 79 images with 2848 pairs took a quarter longer with the same errors."""

@@ -16,9 +16,9 @@ from tiegraph.scene.colmapdatabase import Rows, feature_counts, keep_finished, m
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-BLOCK_PAIRS = 256  # what a process of a killed run loses at most, and the step of the progress
-# Most matches lie in the image border and moved alike: a caption or a part of the platform. COLMAP's mappers would
-# still take the pair.
+BLOCK_PAIRS = 256  # largest loss of a process in a killed run, and the step of the progress
+# Most matches lie in the image border and move alike: a caption or a part of the platform. COLMAP's mappers would
+# still use the pair.
 _WATERMARK = int(pycolmap.TwoViewGeometryConfiguration.WATERMARK)
 _ALONE = Side()
 
@@ -27,7 +27,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class MatchReport:
-    """What was asked of the matcher and what came back."""
+    """Request and result of the matcher."""
 
     asked: int
     matched: int  # pairs compared, now or in an earlier run
@@ -50,13 +50,13 @@ def match_pairs(
     """Match and verify the kept pairs. Pairs finished in the database are not done again, others in it are deleted.
 
     Returns the table with ``inliers`` of the kept pairs (0 = compared and not verified, -1 = could not be compared;
-    both are dropped for "match") and the report. ``on_progress`` is told how many pairs of how many are done. Raises
+    both are dropped for "match") and the report. ``on_progress`` gets the numbers of finished and of all pairs. Raises
     InputError for a database of another scene, ReconstructionError if no pair at all is verified.
     """
     with Rows(database) as rows:
         names = rows.image_names()
     if names != dict(enumerate(scene.names, 1)):
-        raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
+        raise InputError(f"{database} contains other images than the scene: delete it and run the features stage again")
     kept = pairs.kept()
     features = feature_counts(database)
     some = np.array([features.get(k, 0) > 0 for k in range(len(scene))], bool)

@@ -1,7 +1,7 @@
 """Blocks of pairs, matched side by side: each process has one thread and, for each block, a small database of its own.
 
-The processes are children of this one, or of the workers of a cluster: those read the features while nobody writes, for
-a round of blocks is matched before the next is written, and only this process writes the matches of all.
+The processes are children of this one, or of the workers of a cluster: those read the features while nobody writes,
+because a round of blocks is matched before the next is written, and only this process writes the matches of all.
 
 ``nearest`` finds the matches and COLMAP verifies them; on a GPU, and for guided matching, COLMAP does both.
 COLMAP's own threads do not always find the same matches: those that build their search trees of descriptors at the same
@@ -32,12 +32,12 @@ from tiegraph.scene.pairs import Pairs
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers
 _ALIAS = "tiegraph:"
-_ROUND = 2  # blocks a worker of a cluster makes before they are written
+_ROUND = 2  # blocks per worker of a cluster before they are written
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What is a match, and how the matches of a pair are verified."""
+    """Rules for matches, and for their verification."""
 
     settings: MatchSettings = MatchSettings()
     verification: VerificationTuning = VerificationTuning()
@@ -61,10 +61,10 @@ def cut(pairs: Pairs, size: int) -> list[np.ndarray]:
 def run_blocks(
     database: Path, blocks: Sequence[np.ndarray], rules: Rules, side: Side, log: Path, on_pairs: Callable[[int], None]
 ) -> None:
-    """Match blocks (B, 2) of scene indices, side by side, and write into the database what comes of each.
+    """Match blocks (B, 2) of scene indices, side by side, and write the results of each into the database.
 
-    ``on_pairs`` is told how many pairs are done. Of a process that ends by itself, what it has not done is tried once
-    more, block by block, and left away where that ends too. Finished blocks stay.
+    ``on_pairs`` gets the number of finished pairs. If a process ends by itself, its unfinished part is tried once
+    more, block by block, and omitted if that ends too. Finished blocks stay.
     """
     if not blocks:
         return
@@ -116,7 +116,7 @@ def match_blocks(
 ) -> None:
     """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
     pycolmap.logging.minloglevel = 1
-    # Whether COLMAP looks for the matches too: on a GPU, and along epipolar lines; else it verifies them
+    # Whether COLMAP finds the matches too: on a GPU, and along epipolar lines; else it verifies them
     matched = _by_colmap if rules.settings.guided or on_gpu() else _by_nearest
     for name, block in blocks:
         matched(Path(database), Path(name), block, rules)
@@ -139,7 +139,7 @@ def _by_colmap(database: Path, target: Path, block: np.ndarray, rules: Rules) ->
 
 
 def _by_nearest(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:
-    """Match a block (B, 2) by ``nearest`` and verify it by COLMAP, pair by pair, into a database of nothing else.
+    """Match a block (B, 2) by ``nearest`` and verify it by COLMAP, pair by pair, into a new database.
 
     Rows are as COLMAP writes them: a pair of too few matches has none, and is degenerate.
     """
@@ -163,11 +163,11 @@ def _by_nearest(database: Path, target: Path, block: np.ndarray, rules: Rules) -
 
 
 def colmap_options(rules: Rules) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
-    """COLMAP's options of our rules."""
+    """COLMAP's options for our rules."""
     settings, tuning = rules.settings, rules.verification
     matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=on_gpu())
     matching.guided_matching = settings.guided
-    matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
+    matching.skip_image_pairs_in_same_frame = False  # all listed pairs are matched: the network decides
     matching.sift.max_ratio = settings.max_ratio
     verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
     verification.ransac.max_error = settings.max_error_px

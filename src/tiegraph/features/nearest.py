@@ -1,4 +1,4 @@
-"""Descriptors that are each other's nearest: the matches of COLMAP's brute-force matcher, all of them and no others.
+"""Mutual nearest neighbours of descriptors: the matches of COLMAP's brute-force matcher, all of them and no others.
 
 The search is native (sources in native/nearest), in whole numbers, one pass over all dot products for both directions;
 COLMAP's own default, an approximate index, takes ten times as long and loses some matches in a hundred. Without the
@@ -20,11 +20,11 @@ else:
     except ImportError:  # installed without a C++ compiler
         _nearest = None
 
-_BLOCK = 1 << 22  # dot products that NumPy holds at once
+_BLOCK = 1 << 22  # dot products in NumPy's memory at once
 
 
 def kernels() -> list[str]:
-    """The native kernels that this machine runs, the fastest first; [] without the native module."""
+    """The native kernels for this machine, the fastest first; [] without the native module."""
     return [] if _nearest is None else list(_nearest.kernels())
 
 
@@ -46,7 +46,7 @@ def matches(a: np.ndarray, b: np.ndarray, options: pycolmap.SiftMatchingOptions)
 def _distinct(found: np.ndarray, options: pycolmap.SiftMatchingOptions) -> np.ndarray:
     """(N,) bool: near enough, and clearly nearer than the second.
 
-    Angles are rounded from double precision: the last bit of a single one is another on another processor.
+    Angles are rounded from double precision: the last bit of single precision depends on the processor.
     """
     index, *dots = found
     best, second = (np.arccos(np.minimum(d / 512.0**2, 1.0)).astype(np.float32) for d in dots)

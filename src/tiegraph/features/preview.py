@@ -1,10 +1,10 @@
-"""Low-resolution previews: SIFT features and brightness of an image, and what two images share, cheaply.
+"""Low-resolution previews: SIFT features and brightness of an image, and a cheap comparison of two images.
 
 SIFT and not ORB: on ``canal`` (300 rendered images, repeated walls) a model of the survey made of 2554 SIFT previews of
 400 px holds all images within 0.07 m, one of ORB previews is torn (11 m); a preview costs 6 instead of 3.5 ms.
-The counts say which images may tie; the rotations of single pairs are coarse and serve only to be voted on.
+The counts show which images may tie; the rotations of single pairs are coarse and serve only for votes.
 
-A COLMAP database of previews: what a small model of the survey is made from.
+A COLMAP database of previews: the input of a small model of the survey.
 """
 
 from __future__ import annotations
@@ -74,7 +74,8 @@ class Preview:
 
 @dataclass(frozen=True)
 class PreviewMatch:
-    """What two previews share: inliers of one essential matrix; cam_b_from_cam_a rotation (3, 3), None without cameras;
+    """Comparison of two previews: inliers of one essential matrix; cam_b_from_cam_a rotation (3, 3), None without
+    cameras;
     shift (2,) median motion of the inliers from a to b as a share of the image width and height; matches (inliers, 2)
     u2 rows of a and of b."""
 
@@ -128,7 +129,7 @@ def _spread_sift(
     sift = cv2.SIFT.create(
         nfeatures=0, contrastThreshold=tuning.contrast, edgeThreshold=tunings.sift.edges, enable_precise_upscale=True
     )
-    # One call: describing those that are kept alone would build the pyramid a second time, and costs more.
+    # One call: describing only the kept ones would build the pyramid a second time, and costs more.
     found, descriptors = sift.detectAndCompute(small, use)
     if not found:
         return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)

@@ -11,7 +11,7 @@ EngineName = Literal["opencv", "colmap"]
 
 
 class PreviewSettings(Section):
-    """Low-resolution features: cheap evidence of which images see the same things."""
+    """Low-resolution features: cheap evidence of which images show the same scene."""
 
     size_px: int = Field(400, ge=160, le=1600)
     """Longest side of a reduced 4:3 image, pixels; other shapes get the same area, smaller images are not enlarged."""
@@ -30,7 +30,7 @@ class FeaturesSettings(Section):
     """Features at full resolution, for the model."""
 
     engine: Annotated[EngineName | str, or_plugin("features", EngineName)] = "opencv"
-    """Who extracts SIFT: opencv (fast), or colmap (its own extractor, several times slower on a CPU)."""
+    """Extractor of SIFT: opencv (fast), or colmap (its own extractor, several times slower on a CPU)."""
     max_features: int = Field(12288, ge=64, le=65536)
     """Most features kept in an image of 4.5 megapixels or more, the clearest first; smaller ones keep fewer in
     proportion, but a third at least."""
@@ -52,4 +52,4 @@ class MatchSettings(Section):
     guided: bool = False
     """Match again along the epipolar lines once a pair is verified: more matches, about twice the time."""
     stationary: bool = False
-    """Throw out matches at the same pixel in both images (the platform itself). Not for a platform that ever stops."""
+    """Remove matches at the same pixel in both images (the platform itself). Not for a platform that ever stops."""

@@ -1,14 +1,14 @@
-"""From an image file and its mask file to SIFT features: by OpenCV in the form COLMAP's own extractor writes (Lowe
+"""From an image file and its mask file to SIFT features: by OpenCV in the form of COLMAP's own extractor (Lowe
 2004; RootSIFT: Arandjelovic & Zisserman 2012), or by that (VLFeat, or on a GPU), one image at a time.
 
 Not ``pycolmap.extract_features``: that leaves out images with a missing mask, reads a mask of another size as if it
 fitted, and numbers images by the order its threads finish. One extractor call runs no worker threads, so its errors are
 plain exceptions and no child process is needed.
 
-Images that show little contrast, of a sea floor, in a tunnel or at night, are evened first. A detector's threshold is
-one number for all images (Lowe 2004: 0.03 of the grey range). In dim water nothing passes it but what the lamp lights,
-though texture stands well above the noise everywhere. A lower threshold finds more in the lit part alone: it is the
-contrast against the surroundings that counts.
+Images with little contrast, of a sea floor, in a tunnel or at night, are equalised first. A detector's threshold is
+one number for all images (Lowe 2004: 0.03 of the grey range). In dim water only the part lit by the lamp exceeds it,
+though texture is well above the noise everywhere. A lower threshold finds more in the lit part only: the
+contrast against the surroundings counts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DESCRIPTOR_NORM = 512.0
 
 
 def contrast(gray: np.ndarray, tuning: ContrastTuning) -> float:
-    """What of its local contrast, grey levels, nine tenths of a grey image (H, W) u1 stay below: the standard deviation
+    """Local contrast, grey levels, that nine tenths of a grey image (H, W) u1 do not exceed: the standard deviation
     within blocks whose side is a share of the longer one."""
     side = max(round(max(gray.shape) * tuning.block), 2)
     size = (max(gray.shape[1] // side, 1), max(gray.shape[0] // side, 1))
@@ -42,7 +42,7 @@ def contrast(gray: np.ndarray, tuning: ContrastTuning) -> float:
 
 
 def evened(gray: np.ndarray, tuning: ContrastTuning, shown: float | None = None) -> np.ndarray:
-    """The image, or one with its contrast evened tile by tile (Zuiderveld 1994, CLAHE) where it shows too little;
+    """The image, or one with its contrast equalised tile by tile (Zuiderveld 1994, CLAHE) if it is too low;
     ``shown``: its contrast, if that is known."""
     if (contrast(gray, tuning) if shown is None else shown) >= tuning.enough:
         return gray
@@ -58,14 +58,14 @@ def extract_sift(
     Returns keypoints (K, 4) f4: x, y (pixels, corner convention), scale (pixels, one sigma), orientation (radians, from
     +x to +y), the clearest first, and descriptors (K, 128) u1. K = 0 is legal: a blank or masked image.
 
-    The search begins at the image's own resolution. Only an image that shows too little there is doubled as Lowe's is:
-    what a camera of many megapixels writes between its pixels is noise and sharpening, and it costs the most.
+    The search begins at the image's own resolution. Only an image with too few features there is doubled like Lowe's:
+    the content of a camera of many megapixels between its pixels is noise and sharpening, and it costs the most.
     """
     check_input(gray, mask)
     most = int(most_features(gray.size / 1e6, settings.max_features, tuning))
     image = shrunk(gray, settings.max_image_size)
-    half = shrunk(image, max(image.shape) // 2)  # OpenCV doubles what it is given
-    # The mean of four pixels has half their noise: a feature of half the contrast stands as far above it.
+    half = shrunk(image, max(image.shape) // 2)  # OpenCV doubles its input
+    # The mean of four pixels has half their noise: a feature of half the contrast is as far above it.
     sift = _sift(settings.contrast / 2, tuning)
     found = sift.detect(half, None)
     keypoints, chosen = _clearest(found, half, gray, mask, tuning)
@@ -73,7 +73,7 @@ def extract_sift(
         chosen = chosen[:most]
         _, descriptors = sift.compute(half, [found[k] for k in chosen])
         return keypoints[chosen], root_sift(descriptors)
-    # One call: computing the descriptors of the kept ones alone would build the pyramid a second time.
+    # One call: computing only the descriptors of the kept ones would build the pyramid a second time.
     found, descriptors = _sift(settings.contrast, tuning).detectAndCompute(image, None)
     keypoints, chosen = _clearest(found, image, gray, mask, tuning)
     if not len(chosen):
@@ -97,8 +97,8 @@ def _clearest(
     """Key points (K, 4) f4 of the full image, of those found in a smaller one, and which of them are not masked,
     by their signal to noise, the clearest first.
 
-    The noise of pixels, smoothed with a key point's scale, falls as that scale rises: response times scale says how far
-    it stands above it. Of a drone's photographs the strongest by response alone were sharpening, and few were found
+    The noise of pixels, smoothed with a key point's scale, falls as that scale rises: response times scale is its
+    signal to noise. In a drone's photographs the strongest by response alone were sharpening, and few were found
     again (benchmarks/README.md, *Key points*). Ties by place, so that OpenCV's threads cannot change the order.
     """
     scale = np.array([gray.shape[1] / image.shape[1], gray.shape[0] / image.shape[0]])
@@ -111,7 +111,7 @@ def _clearest(
 
 
 def most_features(megapixels: np.ndarray | float, limit: int, tuning: SiftTuning) -> np.ndarray:
-    """How many features an image of so many megapixels keeps at most, of a limit for large images; same shape."""
+    """Largest number of features of an image of so many megapixels, for a limit of large images; same shape."""
     return np.rint(limit * np.clip(megapixels / tuning.large_mpx, tuning.least_kept, 1))
 
 
@@ -138,7 +138,7 @@ def on_mask(keypoints: np.ndarray, mask: np.ndarray | None, tuning: SiftTuning) 
     """
     if mask is None:
         return np.ones(len(keypoints), bool)
-    # The distance of a pixel's centre to that of the nearest masked pixel; what lies outside the image is no matter.
+    # The distance of a pixel's centre to that of the nearest masked pixel; the outside of the image does not matter.
     free = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     column, row = np.floor(keypoints[:, :2]).astype(int).T
     distance = free[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
@@ -161,8 +161,8 @@ Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings, SiftTunin
 def extract_image(
     image: Path, mask: Path | None, settings: FeaturesSettings, tuning: Tuning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Keypoints (K, 4) f4 and descriptors (K, 128) u1 of an image file, none where the mask file is 0. An image that
-    shows little contrast is evened first.
+    """Keypoints (K, 4) f4 and descriptors (K, 128) u1 of an image file, none where the mask file is 0. An image with
+    little contrast is equalised first.
 
     Raises InputError for an image or mask that is missing, unreadable, or of different sizes.
     """
@@ -175,7 +175,7 @@ def read_gray(image: Path) -> np.ndarray:
     """(H, W) u1 as stored in the file: an EXIF rotation is not applied, as COLMAP does not."""
     gray = read_pixels(image)
     if gray is None:
-        raise InputError(f"image {image} cannot be read: take it out of the folder or restore it")
+        raise InputError(f"image {image} cannot be read: remove it from the folder or restore it")
     return gray
 
 

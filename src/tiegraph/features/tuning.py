@@ -1,4 +1,4 @@
-"""What features decides by: each constant with its unit, its meaning and where its value comes from."""
+"""Constants of features, each with its unit, its meaning and the source of its value."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ class PreviewTuning(Section):
     """Low-resolution features and their matches (`preview.py`)."""
 
     contrast: float = Field(0.02, gt=0)
-    """Least contrast of a feature, half of Lowe's: dark stretches under bridges have little contrast."""
+    """Least contrast of a feature, half of Lowe's: dark sections under bridges have little contrast."""
     cells: int = Field(8, gt=0)
     """Grid cells along the longest side, for the spreading."""
     min_used: float = Field(0.5, gt=0, le=1)
-    """Share of a reduced pixel's area that the mask must leave, for a feature to be there."""
+    """Share of a reduced pixel's area that the mask must leave for a feature there."""
     max_distance: float = Field(0.7, gt=0)
     """Between the unit descriptors of a match, as in COLMAP."""
     least_matches: int = Field(8, ge=5)
-    """Of two previews: fewer, tentative or inliers, are not worth a RANSAC, and count as none."""
+    """Least tentative matches or inliers of two previews: fewer are not worth a RANSAC, and count as none."""
     confidence: float = Field(0.99, gt=0, lt=1)
-    """Of the RANSAC, that it has met a sample without outliers."""
+    """Confidence of the RANSAC to have met a sample without outliers."""
     trials: int = Field(200, gt=0)
-    """Of the RANSAC, at most."""
+    """Trials of the RANSAC, at most."""
     guessed_focal: float = Field(1.0, gt=0)
     """Focal length of an unknown camera, in longest sides of its image (1: 53 degrees). Measured on rendered images:
     focal lengths wrong by 0.8 to 2.5 keep the same pairs."""
 
 
 class ContrastTuning(Section):
-    """Images that show little contrast (`sift.py`)."""
+    """Images with little contrast (`sift.py`)."""
 
     enough: float = Field(10.0, ge=0)
-    """Grey levels of local contrast that a tenth of an image shows, or it is evened: a sea floor shows 3 to 9, an up
+    """Grey levels of local contrast that a tenth of an image has, or it is equalised: a sea floor has 3 to 9, an up
     camera below bridges 5 to 16, single bands 9 to 21, nine sets in daylight 12 and more; 0: never."""
     block: float = Field(0.02, gt=0, le=1)
-    """Of the longer side: the side of a block within which contrast is local."""
+    """Share of the longer side: the side of a block within which contrast is local."""
     limit: float = Field(4.0, gt=0)
-    """Of CLAHE: most that the contrast of a tile is raised."""
+    """CLAHE: largest amplification of a tile's contrast."""
     tiles: int = Field(8, gt=0)
-    """Of CLAHE, along either side."""
+    """CLAHE: tiles along either side."""
 
 
 class SiftTuning(Section):
     """Features at full resolution (`sift.py`)."""
 
     octave_layers: int = Field(3, gt=0)
-    """Of the scale space: Lowe 2004, section 3.3; both extractors divide the contrast threshold by it."""
+    """Layers of the scale space: Lowe 2004, section 3.3; both extractors divide the contrast threshold by it."""
     edges: float = Field(12.0, gt=0)
     """Lowe's edge threshold: most that the two curvatures of a feature may differ, as a ratio. OpenCV's 10 leaves out a
     sixth of what COLMAP's extractor finds with its 10, found again as often as others; 15 takes more CPU time."""
@@ -56,15 +56,15 @@ class SiftTuning(Section):
     14 000 with second orientations; on four sets of 6 to 16 megapixels 12 288 of ours had 0.73 to 0.94 of their
     inliers, 8192 had 0.47 to 0.74."""
     least_kept: float = Field(1 / 3, gt=0, le=1)
-    """Of that number, what the smallest image may keep: 4096 features of 1.5 megapixels and less."""
+    """Share of that number for the smallest image: 4096 features of 1.5 megapixels and less."""
     enough_found: float = Field(0.75, gt=0)
-    """Of the features that an image may keep: so many at its own resolution, and it is not doubled."""
+    """Share of an image's largest number of features: with so many at its own resolution it is not doubled."""
     support_sigmas: float = Field(3.0, ge=0)
-    """Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans
-    towards it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of
-    all."""
+    """Sigmas of a key point that must be free: where a building ends against a masked sky, the position of a blob is
+    biased towards it. On canal such key points rotated the front camera against the rig by 0.01-0.02 deg; they are 5 %
+    of all."""
     enough_free: int = Field(500, ge=0)
-    """Of such; an image with fewer (an up camera, which sees little but roof lines) keeps the others too."""
+    """Least number of such; an image with fewer (an up camera, which sees mostly roof lines) keeps the others too."""
 
 
 class VerificationTuning(Section):
@@ -75,17 +75,17 @@ class VerificationTuning(Section):
     """
 
     min_trials: int = Field(30, gt=0)
-    """At least, of each geometry; COLMAP's 100 are more than pairs need of which nine matches in ten agree."""
+    """Least trials, of each geometry; COLMAP's 100 are more than pairs need of which nine matches in ten agree."""
     least_inlier_share: float = Field(0.4, gt=0, le=1)
     """Trials are enough to find a geometry that this share of the matches agrees with, in COLMAP a quarter: then a pair
-    that shares nothing costs four times as much."""
+    without overlap costs four times as much."""
 
 
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     contrast: ContrastTuning = Field(default_factory=ContrastTuning)
-    """Images that show little."""
+    """Images with little contrast."""
     preview: PreviewTuning = Field(default_factory=PreviewTuning)
     """Previews."""
     sift: SiftTuning = Field(default_factory=SiftTuning)

@@ -21,8 +21,8 @@ Camera = tuple[tuple[str, object], ...]  # items of ``camera_to_dict``, so that 
 
 @dataclass(frozen=True)
 class Matches:
-    """The verified matches of a database, in a form that goes to other processes: the camera of each sensor, and the
-    sensor (N,) of each image; of a pair at most ``most`` matches are read, spread evenly."""
+    """The verified matches of a database, in a form that can be sent to other processes: the camera of each sensor, and
+    the sensor (N,) of each image; of a pair at most ``most`` matches are read, spread evenly."""
 
     database: str
     cameras: tuple[Camera, ...]
@@ -35,7 +35,7 @@ class Matches:
         cameras = []
         for k, sensor in enumerate(scene.all_sensors):
             if sensor.camera is None:
-                raise InputError(f"sensor {k} has no camera: no image of it was found, take it off the rig")
+                raise InputError(f"sensor {k} has no camera: no image of it was found, remove it from the rig")
             said = camera_to_dict(sensor.camera) or {}
             cameras.append(tuple(sorted((n, tuple(v) if isinstance(v, list) else v) for n, v in said.items())))
         sensor = np.asarray(scene.sensor_key)

@@ -1,6 +1,6 @@
 """Pairs that contradict the coarse model or loops of rotations are refused.
 
-The coarse model, roughly right, says more than loops: a wall that repeats along the way of travel gives false matches
+The coarse model, though rough, shows more than loops: a wall that repeats along the path gives false matches
 with the right rotation and on the right epipolar lines, but at impossible distances.
 """
 
@@ -26,11 +26,11 @@ class Prior:
 
     cam_from_world: np.ndarray
     reach: np.ndarray
-    mount_deg: np.ndarray | None = None  # (N,) by which an image's place in its rig may be turned; None = by nothing
+    mount_deg: np.ndarray | None = None  # (N,) possible rotation error of an image in its rig; None = none
 
     def tolerance_deg(self, i: int, j: int, same_sensor: bool, least_deg: float) -> float:
-        """How far a true match of two images may be off course. Of one sensor the error of its mounting cancels as far
-        as the images are not turned against each other: below a bridge two passes are, by half a turn."""
+        """Tolerance of a true match of two images from its course. For one sensor the error of its mounting cancels
+        unless the images are rotated against each other: below a bridge two passes are, by half a turn."""
         if self.mount_deg is None:
             return least_deg
         turn = transforms.angle_deg(self.cam_from_world[i, :3, :3], self.cam_from_world[j, :3, :3])
@@ -43,11 +43,11 @@ class Prior:
 
 
 def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:
-    """The prior with any distance as the reach of images that see too few points to tell theirs, but whose place is
+    """The prior with any distance as the reach of images that see too few points for theirs, but whose pose is
     known: by the others of their frame, if most images of their sensor see points.
 
-    That is what an up camera is below a bridge. Loops have little to say there: few images tie to it, and the beams of
-    one bridge are alike. On ``canal`` four of the five false pairs that were left have at most 7 % of their matches on
+    An up camera below a bridge is such a case. Loops hardly test it: few images tie to it, and the beams of
+    one bridge are alike. On ``canal`` four of the five remaining false pairs have at most 7 % of their matches on
     course at any distance, the thirteen true ones 55 % and more; the fifth is of two passes: a wider tolerance.
     """
     placed, known = np.isfinite(prior.cam_from_world).all(axis=(1, 2)), prior.known()
@@ -96,7 +96,7 @@ def off_course_deg(
 @dataclass(frozen=True)
 class Filtering:
     """The pair table with reason "repeat"; ``undecided`` (P,) bool: kept, though others contradict, because no loop
-    tells; figures by name, notes and tables for people."""
+    decides; figures by name, notes and tables for people."""
 
     pairs: Pairs
     undecided: np.ndarray
@@ -158,13 +158,13 @@ class Judged:
 
     @staticmethod
     def none(count: int, *notes: str) -> "Judged":
-        """Of a model that is not asked."""
+        """Of a model that is not used."""
         return Judged(*np.zeros((2, count), bool), notes=notes)
 
 
 def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning: Tuning, run_map: Map) -> Judged:
-    """What a rough model says of the pairs of its images; one that contradicts many of them is not believed, and how
-    two parts of it stand to each other is not if it contradicts all pairs between them."""
+    """Judgement of pairs by a rough model; one that contradicts many of them is not used, and neither is the relative
+    pose of two parts of it if it contradicts all pairs between them."""
     prior, own = held_by_rig(prior, scene, tuning.prior), tuning.prior
     known = prior.known()
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
@@ -174,17 +174,17 @@ def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning
     wrong = np.array(run_map(agreement, ends.T.tolist(), matches, prior, own)) < own.min_share
     said = f"the coarse model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
     if wrong.mean() > own.max_refused:
-        return Judged.none(len(pairs), f"{said}: too few, so it is not asked")
+        return Judged.none(len(pairs), f"{said}: too few, so it is not used")
     asked_of, wrong_of = (np.bincount(e.ravel(), minlength=len(known)) for e in (ends, ends[:, wrong]))
     misplaced = wrong_of > own.max_refused_image * asked_of
     if misplaced.any():
-        said += f"; it has {int(misplaced.sum())} images at the wrong place, whose pairs it is not asked about"
+        said += f"; it has {int(misplaced.sum())} images at a wrong place, whose pairs it does not judge"
         placed = ~misplaced[ends].any(axis=0)
         rows, wrong, ends = rows[placed], wrong[placed], ends[:, placed]
     part = parts(ends[0, ~wrong], ends[1, ~wrong], len(known))
     alone = wrong & (part[ends[0]] != part[ends[1]])
     if alone.any():
-        said += f"; {int(alone.sum())} of the others are all that ties parts of it, and are not refused for it"
+        said += f"; {int(alone.sum())} of the others are the only ties of parts of it, and are not refused by it"
         rows, wrong = rows[~alone], wrong[~alone]
     asked, refused = np.zeros((2, len(pairs)), bool)
     asked[rows] = True

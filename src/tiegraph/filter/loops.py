@@ -1,12 +1,12 @@
 """Pairs whose rotation contradicts that of all others.
 
-Each pair tells the rotation between its images, and where the rig is known, between its frames. All together tell the
-rotation of every frame. A pair that is off is refused if closed loops tell the rotation of its frames without it, and
-if few of its matches agree with that: a plane allows two rotations, and a pair may tell the wrong one. Where loops
+Each pair gives the rotation between its images, and if the rig is known, between its frames. All together determine the
+rotation of every frame. A deviating pair is refused if closed loops determine the rotation of its frames without it,
+and if few of its matches agree with that: a plane allows two rotations, and a pair may have the wrong one. If loops
 close badly, by wrong focal lengths or a rig that is not rigid, the tolerance widens, or no pair is refused.
 
-No pair is believed alone: two clusters of units are joined by the rotation that most weight of all ties between them
-agrees on, best backed first, before robust least squares. Repeated walls turn a pair by the angle that fits the wrong
+No pair is trusted alone: two clusters of units are joined by the rotation with the largest total weight of agreeing
+ties, best supported first, before robust least squares. Repeated walls rotate a pair by the angle that fits the wrong
 window, each pair by another one (measured on canal: 8 to 180 degrees), while true ties agree within a degree.
 """
 
@@ -39,11 +39,11 @@ Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the ord
 
 @dataclass(frozen=True)
 class RotationAverage:
-    """Rotations of U units and what E edges make of them."""
+    """Rotations of U units and the residuals of E edges."""
 
     unit_from_world: np.ndarray  # (U, 3, 3)
     residual_deg: np.ndarray  # (E,) edge against the rotations; NaN without a rotation
-    reliable: np.ndarray  # (E,) bool: the ends hang together by closed loops of three that need not this edge
+    reliable: np.ndarray  # (E,) bool: the ends are connected by closed loops of three without this edge
 
     def predicted(self, m: int, n: int) -> np.ndarray:
         """n_from_m (3, 3)."""
@@ -70,7 +70,7 @@ def _angles(rotation: np.ndarray, ends: np.ndarray, rotations: np.ndarray) -> np
 
 
 class _Clusters:
-    """Units joined into clusters, the best backed first."""
+    """Units joined into clusters, the best supported first."""
 
     def __init__(
         self, units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float, voters: int
@@ -174,7 +174,7 @@ def by_loops(
     scene: Scene, pairs: Pairs, matches: Matches, settings: FilterSettings, tuning: LoopTuning, run_map: Map
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Judge pairs by loops of rotations: of each pair (P,) bool whether it is refused, or kept though it contradicts
-    and no loop tells; notes. ``run_map(function, items, *args)`` runs items anywhere."""
+    others and no loop decides; notes. ``run_map(function, items, *args)`` runs items anywhere."""
     bound = settings.max_error_px / matches.focal_px()
     unit, turned = _units(scene)
     outside = np.flatnonzero(unit[pairs.i] != unit[pairs.j])
@@ -199,7 +199,7 @@ def by_loops(
     undecided[outside] = off & ~loops.reliable
     notes = []
     if undecided.any():
-        notes.append(f"{int(undecided.sum())} pairs have no loops to tell by and contradict others: kept")
+        notes.append(f"{int(undecided.sum())} pairs contradict others, but no loops decide: kept")
     if tolerance > tuning.noisy_deg:
         said = f"rotations of pairs contradict each other by {spread:.1f} deg (median): focal lengths, or the rig, are"
         return refused, undecided, (f"{said} probably wrong. No pair was refused", *notes)
@@ -213,7 +213,7 @@ def by_loops(
 
 
 def _units(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) what turns as one: the frame, or an image for itself where its place in the rig is unknown; (N, 3, 3)
+    """(N,) units with one rotation: the frame, or a single image if its pose in the rig is unknown; (N, 3, 3)
     rotation sensor_from_unit of each image."""
     poses = [s.sensor_from_rig for s in scene.all_sensors]
     known = np.array([p is not None for p in poses])[scene.sensor_key] | (scene.sensor == 0)
@@ -250,7 +250,7 @@ def agreeing(item: tuple[int, int, np.ndarray], matches: Matches, bound_rad: flo
     turned = a @ item[2].T
     normal = cross(turned, b)
     length = np.linalg.norm(normal, axis=1)
-    usable = np.flatnonzero(length > bound_rad)  # nearly parallel rays do not tell where the other image is
+    usable = np.flatnonzero(length > bound_rad)  # nearly parallel rays do not determine the translation
     if len(usable) < tuning.least_matches:
         return len(a) - len(usable)
     picks = np.random.default_rng(_SEED).choice(usable, (tuning.directions, 2))

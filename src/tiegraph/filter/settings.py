@@ -15,4 +15,4 @@ class FilterSettings(Section):
     max_error_px: float = Field(4.0, gt=0, le=50)
     """Most a match may lie off its epipolar line, pixels at the mean focal length."""
     max_loop_deg: float = Field(3.0, gt=0, le=45)
-    """Most the rotation of a pair may contradict that of all others, degrees; widened where loops close badly."""
+    """Most the rotation of a pair may contradict that of all others, degrees; widened if loops close badly."""

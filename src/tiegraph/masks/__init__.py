@@ -1,4 +1,4 @@
-"""Masks: which pixels are worth a feature. Sources by name, and their comparison with hand-made masks.
+"""Masks: the usable pixels for features. Sources by name, and their comparison with hand-made masks.
 
 Source ``learnt``, the default for rigs on a path, learns platform, sky and water from the survey itself, without
 labels or weights:
@@ -7,9 +7,9 @@ labels or weights:
 2. The platform, where edges keep their gradient direction in all frames, and what these edges enclose (``platform``).
 3. Matchability: which features match in the neighbouring frame (``matchability``). Zones where none does are water if
    most level cameras show them (``water``). The border of the sky gives sky (``skyline``), below the black surround
-   of a fisheye lens, which is masked as platform; but not where that area is narrow, for there the border was run
+   of a fisheye lens, which is masked as platform; but not where that area is narrow, because there the border ran
    down a pale wall (``learnt``).
-4. Labels of the static scene. What is as bright as the sky and connected to it is no label of the scene if it hardly
+4. Labels of the static scene. An area as bright as the sky and connected to it is no label of the scene if it hardly
    matches, or if it ends above the horizon, the lowest row of sky that several images agree on: straight ahead a
    cloud matches as a wall does, but a wall stands on the ground.
 5. From these labels one table a camera over colour, brightness and texture, learnt twice. The labels of a camera
@@ -18,20 +18,20 @@ labels or weights:
    image, with its edge refined by a guided filter on brightness; water is what lies below the best line.
 
 **Refinement.** Stage ``refine`` finds the water level where these lines meet the banks of the sparse model
-(``waterline``), and draws the lines again from geometry. It takes back sky in which points of the model lie, seen in
-that image or not, for sky occludes nothing (``skyline``). The platform is not learnt again. Later stages read only
+(``waterline``), and draws the lines again from geometry. It removes sky that contains points of the model, seen in
+that image or not, because sky occludes nothing (``skyline``). The platform is not learnt again. Later stages read only
 the COLMAP masks; the classes are for the report and ``refine``.
 
 **Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A
 sky whose verified matches are as near as the scene is refused, by all cameras together (``matchability``: two focal
-lengths are tried, and what is far by one of them is not near), and without a sky there is no water. A sky must lie
-above the rest (``learnt``): its edges face down, those of a pale road seen from straight above face every way, and
-nothing in it matches that could refute it. Only rows where sky is sought count, so that snow or still water below say
-nothing; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky: what refutes it is as
-dense as a fifth of the matches of a surface, and overexposed areas that match so densely are used.
+lengths are tried, and a match that is far by one of them is not near), and without a sky there is no water. A sky must
+lie above the rest (``learnt``): its edges face down, those of a pale road seen from straight above face every way, and
+nothing in it matches that could refute it. Only rows where sky is searched count, so that snow or still water below
+do not matter; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky: this takes a density
+of a fifth of the matches of a surface, and overexposed areas that match so densely are used.
 """
 
 USE, SKY, WATER, EGO, OVEREXPOSED = range(5)
-"""The classes a mask can tell apart; what is written to disk is only used or not."""
+"""The classes of a mask; on disk is only used or not."""
 NAMES = ("used", "sky", "water", "platform", "overexposed")
 """Names by number, for tables."""

@@ -1,10 +1,10 @@
-"""Looking up an image in what was learnt: sky, water, platform and burnt-out areas.
+"""Classification of an image by the learnt table: sky, water, platform and burnt-out areas.
 
-Regions without an edge inside: what belongs together whatever a table says of its single pixels.
+Regions without an edge inside: connected areas, whatever the table gives for their single pixels.
 
-What sky, water and the static scene look like in this survey stands in one table over colour, brightness and texture,
+The appearance of sky, water and the static scene in this survey is one table over colour, brightness and texture,
 learnt from seeds of the survey itself (Achar et al. 2011: self-supervised segmentation of river scenes), so it needs no
-labels and no weights, and looking up a pixel costs nothing.
+labels and no weights, and the lookup of a pixel costs nothing.
 """
 
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ def learn_appearance(
 ) -> Appearance:
     """From counts (bins,) of seed pixels by class; classes without seeds are left out.
 
-    ``shared``: counts of all cameras; they are as good as ``shared_px`` of a camera's own.
+    ``shared``: counts of all cameras; they weigh as much as ``shared_px`` of a camera's own.
     """
     table = {}
     for label in counts:
@@ -66,7 +66,7 @@ def learn_appearance(
         if own is None:
             own = every
         elif every is not None:
-            # Seeds of all cameras are as good as about one image of its own
+            # Seeds of all cameras weigh as much as about one image of its own
             weight = counts[label].sum() / (counts[label].sum() + 50_000)
             own = weight * own + (1 - weight) * every
         if own is not None:
@@ -84,7 +84,7 @@ def _share(count: np.ndarray, tuning: AppearanceTuning) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class Classifier:
-    """What one camera's images share; ``note`` says it in words."""
+    """The common data of one camera's images; ``note`` describes them in words."""
 
     platform: np.ndarray | None  # (h, w) bool at reduced size, True = platform
     appearance: Appearance
@@ -93,7 +93,7 @@ class Classifier:
     sky_rows: float  # share of the height below which no sky was seen in any image
     note: str
     no_sky: str = ""
-    """Why what looks like sky is none; "" where nothing refutes it."""
+    """Why the apparent sky is none; "" if nothing refutes it."""
     white_matches: bool = False
     """Whether overexposed areas of the survey tie: then they are used."""
 
@@ -125,7 +125,7 @@ def classify(image: np.ndarray, learnt: Classifier, settings: MasksSettings, tun
 
 
 def sought(shape: tuple[int, ...], learnt: Classifier, tuning: ClassificationTuning) -> np.ndarray:
-    """The rows (h, 1) bool of an image of ``shape`` in which sky is sought."""
+    """The rows (h, 1) bool of an image of ``shape`` in which sky is searched."""
     return np.arange(shape[0])[:, None] < (learnt.sky_rows + tuning.sky_margin) * shape[0]
 
 
@@ -145,7 +145,7 @@ def classes_of(
 
 
 def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
-    """Classes with the edge of the sky where the brightness has it: a guided filter (He et al. 2013), near the edge.
+    """Classes with the edge of the sky refined by brightness: a guided filter (He et al. 2013), near the edge.
 
     Its lines are fitted at half the size (He and Sun 2015).
     """
@@ -177,7 +177,7 @@ def _lines(guide: np.ndarray, share: np.ndarray, tuning: ClassificationTuning) -
 
 
 def _grown(sky: np.ndarray, image: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
-    """The sky up to its very edge, where texture told it apart from the sky: neighbours of the sky's own brightness."""
+    """The sky up to its very edge, where texture separated it from the sky: neighbours of the sky's own brightness."""
     light = grey(image).astype(np.float32)
     inside = sky.astype(np.float32)
     around = (tuning.grow_window_px, tuning.grow_window_px)

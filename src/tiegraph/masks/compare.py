@@ -1,4 +1,4 @@
-"""How good masks are: against masks made by hand or known to be true, per camera (paper 001, table 2)."""
+"""Accuracy of masks: against masks made by hand or known to be true, per camera (paper 001, table 2)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ COLUMNS = ("camera", "images", "accuracy %", "IoU %", "useful lost %", "useless 
 
 @dataclass(frozen=True)
 class MaskRow:
-    """Figures of one camera, or of all; shares 0..1 over all pixels of its images, NaN where there is none to count."""
+    """Figures of one camera, or of all; shares 0..1 over all pixels of its images, NaN if there are none to count."""
 
     camera: str
     images: int
@@ -29,7 +29,7 @@ class MaskRow:
 
 @dataclass(frozen=True)
 class MaskComparison:
-    """Rows per camera, sorted by name, the last for all of them together; why masks of images were passed over."""
+    """Rows per camera, sorted by name, the last for all of them together; why masks of images were skipped."""
 
     rows: tuple[MaskRow, ...]
     unfit: tuple[str, ...] = ()
@@ -68,7 +68,7 @@ def compare(
 
 
 def _both(found: Path, name: str, true_path: Path, keep_labels: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """The mask that was found for an image, and the true one. Raises InputError where they do not fit."""
+    """The mask found for an image, and the true one. Raises InputError if they do not fit."""
     path = find_mask(found, name)
     if path is None:
         raise InputError(f"{found}: no mask for {name}, which has a true one ({true_path})")

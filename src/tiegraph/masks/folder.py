@@ -1,4 +1,4 @@
-"""Masks from a folder of the user's: finding the one of an image, reading it, and saying clearly what is wrong."""
+"""Masks from a user's folder: finding the one of an image, reading it, and clear error messages."""
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -17,10 +17,10 @@ _TWO_LEVELS = ({0, 255}, {0, 1})
 
 
 def candidates(name: str) -> list[str]:
-    """Where the mask of image ``name`` (POSIX) is looked for below the folder, best first.
+    """Places of the mask of image ``name`` (POSIX) below the folder, best first.
 
     For up/cam0/a.jpg: up/cam0/a.jpg.png (COLMAP), up/cam0/a_mask.png, up/cam0/a.mask.png (openMVS), up/cam0/a.png, then
-    one mask a camera: up/cam0.png, cam0.png, up.png. A leading images/ of the name may be left away.
+    one mask a camera: up/cam0.png, cam0.png, up.png. A leading images/ of the name may be omitted.
     """
     path = PurePosixPath(name)
     beside = (path.with_name(f"{path.stem}{end}") for end in ("_mask.png", ".mask.png", ".png"))
@@ -39,7 +39,7 @@ def find_mask(folder: Path, name: str) -> Path | None:
 
 
 def check_folder(folder: Path, names: Sequence[str]) -> None:
-    """Raise InputError if the folder is not there or lacks the mask of an image."""
+    """Raise InputError if the folder does not exist or lacks the mask of an image."""
     if not Path(folder).is_dir():
         raise InputError(f"{folder}: there is no such folder; masks.folder must be the folder of the masks")
     missing = [n for n in names if find_mask(folder, n) is None]
@@ -61,7 +61,7 @@ def read_folder_mask(
     if mask.shape != tuple(size):
         raise InputError(
             f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its image {name} has "
-            f"{size[1]} x {size[0]} (after cropping, undistortion and turning upright): "
+            f"{size[1]} x {size[0]} (after cropping, undistortion and EXIF rotation): "
             "make the mask in the size of the image"
         )
     return mask
@@ -76,7 +76,7 @@ def read_mask_file(path: Path, keep_labels: Sequence[int] = ()) -> np.ndarray:
     found = np.unique(values)
     if keep_labels:
         if set(found.tolist()) == {0, 255} and not {0, 255} & set(keep_labels):
-            raise InputError(f"{path}: this is a mask of 0 and 255, not class labels; leave masks.keep_labels away")
+            raise InputError(f"{path}: this is a mask of 0 and 255, not class labels; omit masks.keep_labels")
         return np.isin(values, list(keep_labels))
     if not any(set(found.tolist()) <= levels for levels in _TWO_LEVELS):
         shown = ", ".join(str(v) for v in found[:6]) + (f", ... {found[-1]}" if len(found) > 6 else "")
@@ -131,5 +131,5 @@ def _missing(folder: Path, missing: Sequence[str], total: int) -> InputError:
     lossy = f" {jpeg[0]} is there, but JPEG blurs the edges of masks: save PNG." if jpeg else ""
     return InputError(
         f"{folder}: no mask for {len(missing)} of {total} images: {some(missing, 5)}."
-        f"{lossy} For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
+        f"{lossy} For {missing[0]} these were searched: {', '.join(candidates(missing[0]))}"
     )

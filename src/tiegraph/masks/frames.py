@@ -38,7 +38,7 @@ def read_small(path: Path, longer_px: int) -> np.ndarray:
 
 
 def read_frames(paths: Sequence[Path], longer_px: int) -> Iterator[tuple[Path, np.ndarray]]:
-    """The images that can be read, reduced as by ``read_small``; the others are passed over with a warning."""
+    """The readable images, reduced as by ``read_small``; the others are skipped with a warning."""
     for path in paths:
         try:
             yield path, read_small(path, longer_px)
@@ -52,7 +52,7 @@ def small_shape(size: tuple[int, int], longer_px: int) -> tuple[int, int]:
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
 
 
-# The JPEG decoder leaves out what is not needed: large photographs are opened several times faster.
+# The JPEG decoder skips unneeded resolution: large photographs are opened several times faster.
 _REDUCED = ((8, cv2.IMREAD_REDUCED_COLOR_8), (4, cv2.IMREAD_REDUCED_COLOR_4), (2, cv2.IMREAD_REDUCED_COLOR_2))
 
 
@@ -86,7 +86,7 @@ def full_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def two_frames(images: Sequence[Path], tuning: FramesTuning) -> tuple[np.ndarray, np.ndarray] | None:
     """Grey (h, w) u1 of the first and the last image of a camera (paper 001: "typically the first and the last").
 
-    Images that cannot be read are passed over for the next one; the second is the last one of equal size that is not
+    Images that cannot be read are skipped for the next one; the second is the last one of equal size that is not
     the same picture (a camera at rest). None, with a warning, if there are no two such images.
     """
     first = next(_readable(images, tuning), None)
@@ -103,7 +103,7 @@ def two_frames(images: Sequence[Path], tuning: FramesTuning) -> tuple[np.ndarray
 
 
 def _readable(images: Sequence[Path], tuning: FramesTuning) -> Iterator[tuple[int, np.ndarray]]:
-    for place, path in enumerate(images[:12]):  # frames passed over before a camera is given up
+    for place, path in enumerate(images[:12]):  # frames skipped before a camera is given up
         try:
             yield place, grey(read_small(path, tuning.work_px))
         except InputError as error:

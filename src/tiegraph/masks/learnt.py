@@ -1,8 +1,8 @@
 """Masks learnt from the survey itself: platform, sky, water and overexposure, without weights and without labels.
 
-Seeds of sky, water and static scene in single images come first; from them looks and places are learnt. Sky lies above
-what is not sky: its edges face down, those of a pale road seen from the air face every way. Matches cannot tell a sky
-from a smooth surface seen straight from above: neither has any. Over all images of a survey their edges can.
+Seeds of sky, water and static scene in single images come first; from them appearances and places are learnt. Sky lies
+above the rest: its edges face down, those of a pale road seen from the air face every way. Matches cannot distinguish a
+sky from a smooth surface seen straight from above: neither has any. Over all images of a survey their edges can.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,8 +44,8 @@ class Edges:
 
 
 def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> Edges:
-    """Edges of a sky (h, w) bool where it is ``told`` from the scene, (h, w) bool: not at the platform, nor at the row
-    below which no sky is sought."""
+    """Edges of a sky (h, w) bool where it is separated from the scene, ``told`` (h, w) bool: not at the platform, nor
+    at the row below which no sky is searched."""
     # Twigs and the steps of a border are no edges of their own
     down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), 5.0))
     inner = eroded(told, tuning.reach_px)
@@ -64,7 +64,7 @@ def not_above(edges: Mapping[int, Iterable[Edges]], tuning: LabelTuning) -> set[
 
 @dataclass(frozen=True)
 class LabelJob:
-    """An image to take seeds from, and what is known of it."""
+    """An image for seeds, and its known classes."""
 
     camera: int
     image: Path
@@ -78,7 +78,7 @@ class LabelJob:
 @dataclass(frozen=True)
 class Labels:
     """Of one image: ``looks`` (bins,) counts and ``places`` (r, c) f4 shares of its seed pixels by class; ``low``:
-    share of the height above which its sky lies, narrow pieces included; ``ties``: what of its matches lies where;
+    share of the height above which its sky lies, narrow pieces included; ``ties``: its matches by class;
     ``edges`` of its sky, none of an image that looks up."""
 
     looks: dict[int, np.ndarray]
@@ -89,7 +89,7 @@ class Labels:
 
 
 def first_labels(job: LabelJob) -> Labels:
-    """What is certain before anything is learnt: matched features, the zone of water, sky above a border."""
+    """Certain areas before anything is learnt: matched features, the zone of water, sky above a border."""
     tuning, own = job.tuning, job.tuning.labels
     image = read_small(job.image, tuning.frames.look_px)
     shape = image.shape[:2]
@@ -102,7 +102,7 @@ def first_labels(job: LabelJob) -> Labels:
     )
     if sky is None or not job.upward and not _unmatched(sky, job.matchability, own):
         sky = np.zeros(shape, bool)
-    else:  # what is well off the sky is scene or water
+    else:  # areas well off the sky are scene or water
         pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet
         static = (static | ~dilated(sky, 9)) & ~pale
     free = np.ones(shape, bool) if job.platform is None else ~scaled(job.platform, shape)
@@ -113,8 +113,8 @@ def first_labels(job: LabelJob) -> Labels:
 
 
 def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> Labels:
-    """What the first try, learnt of its camera, calls water, sky and scene of an image: it covers the images, the first
-    seeds do not."""
+    """Water, sky and scene of an image by the first try, learnt of its camera: unlike the first seeds, it covers the
+    images."""
     seed, learnt = job
     tuning = seed.tuning
     image = read_small(seed.image, tuning.frames.look_px)
@@ -135,7 +135,7 @@ def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> 
 def _like_sky(
     image: np.ndarray, sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning, lowest: float = -1.0
 ) -> np.ndarray:
-    """What is as bright as the sky, hangs together with it, and hardly matches or ends above the horizon.
+    """Areas as bright as the sky and connected to it that hardly match or end above the horizon.
 
     Pale clouds straight ahead match from frame to frame as a wall does, as neither has a parallax; but a wall stands on
     the ground, and no cloud hangs below ``lowest``, the share of the height down to which sky is seen.
@@ -168,7 +168,7 @@ def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], tuning: Tuning, l
 
 
 def _unmatched(sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning) -> bool:
-    """Whether hardly a feature in what looks like sky matches: a bright wall has as many as other walls."""
+    """Whether the apparent sky has hardly any matching feature: a bright wall has as many as other walls."""
     if matchability is None:
         return False
     place = (matchability.xy[matchability.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
@@ -178,7 +178,7 @@ def _unmatched(sky: np.ndarray, matchability: Matchability | None, tuning: Label
 
 
 def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
-    """The sky without what is narrow: where a border runs down a pale wall, it does so in a few columns only."""
+    """The sky without narrow parts: where a border runs down a pale wall, it does so in a few columns only."""
     across = np.ones((1, max(1, round(tuning.wide * sky.shape[1]))), np.uint8)
     return cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, across) > 0
 
@@ -198,7 +198,7 @@ def learn(
     upward: Iterable[int] = (),
     apply: Map = map,
 ) -> dict[int, Classifier]:
-    """What is learnt from the images (paths, in order) of all cameras; ``apply`` maps a function over items.
+    """The classes learnt from the images (paths, in order) of all cameras; ``apply`` maps a function over items.
 
     ``upward``: cameras that look up and have no water in view.
     """
@@ -227,7 +227,7 @@ def learn(
         for k, images in cameras.items()
         for image, matchability in _seed_images(images, seen[k], count)
     ]  # fmt: skip
-    # The first time: appearances, and how far down sky is sought
+    # The first time: appearances, and the lowest row in which sky is searched
     labels = list(apply(first_labels, jobs))
     known = _appearances(jobs, labels, upward, tuning)
     lowest = lowest_agreed([s.low for job, s in zip(jobs, labels) if not job.upward], tuning.labels)
@@ -238,7 +238,7 @@ def learn(
         )
         for k in keys
     }  # fmt: skip
-    # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
+    # Once more, with water, sky and scene of the first try as seeds: they cover the images, the first did not.
     again = list(apply(partial(second_labels, settings=settings), [(job, first[job.camera]) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)
     told = {k: f", no sky: {m.no_sky}" if m.no_sky else "" for k, m in made.items()}
@@ -249,7 +249,7 @@ def learn(
 def _proven(
     first: Mapping[int, Classifier], jobs: Sequence[LabelJob], seeds: Sequence[Labels], asked: bool, tuning: Tuning
 ) -> dict[int, Classifier]:
-    """What is learnt the second time, without the sky that is refuted; without any, water must be ``asked`` for."""
+    """The second learning, without refuted skies; without any sky, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
     known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.labels)
     refuted = _refuted(jobs, seeds, upward, tuning)
@@ -308,9 +308,9 @@ def _seed_images(
 def _appearances(
     jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int], tuning: Tuning
 ) -> dict[int, Appearance]:
-    """The appearance for each camera: what it sees itself, and what all do that look level, or up, as it does.
+    """The appearance for each camera: by its own seeds, and by those of all cameras that look level, or up, as it does.
 
-    A pale wall looks like a cloud of another camera's sky; what a camera never sees itself the others tell.
+    A pale wall looks like a cloud of another camera's sky; classes that a camera never sees come from the others.
     """
 
     up = {key: key in upward for key in {job.camera for job in jobs}}

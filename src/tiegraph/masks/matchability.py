@@ -1,10 +1,10 @@
-"""What in the pictures matches and what never does: features of neighbouring frames, before anything else is known.
+"""Areas of the pictures that match and those that never do: features of neighbouring frames, without other knowledge.
 
 A wall is found again in the next frame, water is not, however much texture it shows.
 
-How near what matches is, two images tell: sky has no parallax, a wall that looks like sky has as much as others. No
-lens is known yet. Two focal lengths are tried, and what is far by one of them is not called near: on walls, kitchens
-and car parks every match is near by both, on clouds hardly one.
+The distance of matches follows from two images: sky has no parallax, a wall that looks like sky has as much as others.
+No lens is known yet. Two focal lengths are tried, and a match that is far by one of them is not called near: on walls,
+kitchens and car parks every match is near by both, on clouds hardly one.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class Matchability:
 
 
 def pair_matchability(first: Path, second: Path, tuning: MatchabilityTuning) -> tuple[Matchability, ...]:
-    """Which features of each of two images are found again in the other; () if too few are to say anything."""
+    """Which features of each of two images are found again in the other; () if there are too few."""
     a, b = _features(first, tuning), _features(second, tuning)
     if a is None or b is None:
         return ()
@@ -47,7 +47,7 @@ def pair_matchability(first: Path, second: Path, tuning: MatchabilityTuning) -> 
     mutual = likeness.argmax(axis=0)[partner] == rows
     likeness[rows, partner] = -1
     good = mutual & (best < tuning.ratio**2 * (2 - 2 * likeness.max(axis=1)))
-    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > 2.0  # what does not move is the platform's
+    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > 2.0  # features at rest are the platform's
     chosen = np.flatnonzero(good & moved)
     if len(chosen) < tuning.min_inliers:
         return ()
@@ -66,8 +66,8 @@ def pair_matchability(first: Path, second: Path, tuning: MatchabilityTuning) -> 
 def _shown(
     xy: np.ndarray, here: np.ndarray, there: np.ndarray, shape: tuple[int, int], tuning: MatchabilityTuning
 ) -> np.ndarray:
-    """Which features (K, 2) the other image of ``shape`` can show, by the way of the matches next to them: what left
-    the image is no sign of water."""
+    """Which features (K, 2) the other image of ``shape`` can show, by the motion of neighbouring matches: features that
+    left the image are no sign of water."""
     _, next_to = cKDTree(here).query(xy, tuning.around)
     gone = xy + (there - here)[next_to].mean(axis=1)
     return ((gone >= 0) & (gone < shape[::-1])).all(axis=1)

@@ -1,8 +1,8 @@
-"""The platform in the picture: what stands still in a camera's images while everything else moves.
+"""The platform in the picture: the parts of a camera's images that are fixed while everything else moves.
 
 Measured on gradients, not on grey values: their direction does not change with the light. An edge of the platform has
 the same direction at the same pixel in every frame, and does not even shake; a far skyline seen from a car has the
-first but not the second. What lies between such edges and shows nothing that moves is the platform's inside.
+first but not the second. Areas between such edges without any motion are the platform's inside.
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,10 @@ class PlatformMask:
 
 
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
-    """Those images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
+    """Images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
     chosen: list[Path] = []
     last: tuple[np.ndarray, np.ndarray] | None = None
-    # Frames looked at when choosing those that differ
+    # Frames tested when choosing those that differ
     for path, image in read_frames(_spread(images, 160), tuning.frames.compare_px):
         detail = _detail(grey(image), tuning.moved)
         if last is not None and last[0].shape != detail[0].shape:
@@ -54,7 +54,7 @@ def _detail(image: np.ndarray, tuning: MovedTuning) -> tuple[np.ndarray, np.ndar
 
 
 def moved_share(a: np.ndarray, b: np.ndarray, tuning: MovedTuning) -> float:
-    """Share 0..1 of the texture of two images (h, w, 3) u1 BGR of one size that is not where it was; NaN if none."""
+    """Share 0..1 of the texture of two images (h, w, 3) u1 BGR of one size that has moved; NaN if none."""
     if a.shape != b.shape:
         return float("nan")
     return _moved(_detail(grey(a), tuning), _detail(grey(b), tuning), tuning)
@@ -118,7 +118,7 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
 
 
 def _trimmed(platform: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
-    """The platform without the rim into which its edges blur; what is narrower than a railing stays."""
+    """The platform without the blurred rim of its edges; parts narrower than a railing stay."""
     side = 2 * round(tuning.rim * max(platform.shape)) + 1
     inner = eroded(platform, side)
     return inner | (platform & ~opened(platform, side + 2))
@@ -201,7 +201,7 @@ def _long(edges: np.ndarray) -> np.ndarray:
 
 
 def _outlined(region: np.ndarray, fixed: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
-    """The parts of a region (h, w) whose outline follows fixed edges; the image border says nothing either way."""
+    """The parts of a region (h, w) whose outline follows fixed edges; the image border does not count."""
     region = opened(region, tuning.open_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(region, connectivity=4)
     outline = (region > 0) & ~eroded(region, 3)

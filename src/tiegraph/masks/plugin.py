@@ -1,4 +1,4 @@
-"""Masks by a segmentation model of the user's: an ONNX file and a table of its classes, run by ONNX Runtime."""
+"""Masks by a user's segmentation model: an ONNX file and a table of its classes, run by ONNX Runtime."""
 
 import sys
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ def read_model(path: Path) -> Model:
 
     ``onnx`` = file beside it; ``size`` = [width, height]; ``mean`` and ``deviation`` of RGB in 0..1 (default 0 and 1);
     ``[classes]`` sky = [10], water = [21, 60], ...: labels of the model for our classes, all others are used. Raises
-    InputError naming what is wrong.
+    InputError naming the fault.
     """
     try:
         data = tomllib.loads(regular(path).read_text())
@@ -66,7 +66,7 @@ def read_model(path: Path) -> Model:
 
 
 def model_classes(image: np.ndarray, model: Model) -> np.ndarray:
-    """Classes (h, w) u1 of an image (h, w, 3) u1 BGR. Raises InputError if the model cannot take or give what it must,
+    """Classes (h, w) u1 of an image (h, w, 3) u1 BGR. Raises InputError for unsuitable input or output of the model,
     EngineMissing without ONNX Runtime."""
     session = _session(model.onnx)
     small = cv2.resize(image, model.size, interpolation=cv2.INTER_AREA)[..., ::-1].astype(np.float32) / 255

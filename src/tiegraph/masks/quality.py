@@ -1,4 +1,4 @@
-"""Images that are hardly worth keeping: blurred against their neighbours, or the same picture as the one before."""
+"""Images that are hardly worth keeping: blurred compared with their neighbours, or the same as the one before."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -12,12 +12,12 @@ SourceName = Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "model
 
 
 class MasksSettings(Section):
-    """Which pixels of an image may become features and depths."""
+    """The pixels of an image that may become features and depths."""
 
     source: Annotated[SourceName | str, or_plugin("masks", SourceName)] = "auto"
-    """Where masks come from: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
+    """Source of masks: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
     parts of first and last frame, sky, overexposure (paper 001); meguro2024 = equal parts of first and last frame
-    (paper 000); sky = only sky and overexposure; model = a segmentation model of yours; folder = masks of yours;
+    (paper 000); sky = only sky and overexposure; model = your segmentation model; folder = your masks;
     none = all is used; auto = folder if given, else learnt for rigs on a path, else none."""
 
     folder: Path | None = user_path("folder")
@@ -25,7 +25,7 @@ class MasksSettings(Section):
     one mask a camera: up/cam0.png, cam0.png. 0 = ignore, 255 or 1 = use; the size of the image."""
 
     keep_labels: tuple[Annotated[int, Field(ge=0, le=65535)], ...] = ()
-    """Label values to use, if the folder holds class labels instead of masks; all other labels are ignored."""
+    """Label values to use, if the folder contains class labels instead of masks; all other labels are ignored."""
 
     model: Path | None = user_path("file")
     """TOML file of your segmentation model: onnx = file, size = [width, height], mean, deviation, and [classes] with
@@ -45,7 +45,7 @@ class MasksSettings(Section):
 
     water: Literal["auto", "on", "off"] = "auto"
     """learnt: auto = water is masked if three or more cameras of a rig show it; on = if any camera does (a single
-    forward camera cannot tell it from a road passed fast); off = never."""
+    forward camera cannot distinguish it from a road passed fast); off = never."""
 
     leave_out: Literal["none", "blurred", "similar", "both"] = "none"
     """Flagged images that are left out of everything: much more blurred than their neighbours, or hardly different from
@@ -58,15 +58,15 @@ class MasksSettings(Section):
         if self.source == "model" and self.model is None:
             raise ValueError("source = model needs the setting model: the TOML file of your segmentation model")
         if self.folder is not None and self.source not in ("folder", "auto"):
-            raise ValueError(f"folder is given, but source = {self.source} does not read it: leave one of them away")
+            raise ValueError(f"folder is given, but source = {self.source} does not read it: omit one of them")
         if self.keep_labels and self.folder is None:
             raise ValueError("keep_labels needs the setting folder: where the label images are")
         return self
 
 
 class RefineSettings(Section):
-    """Final masks, for depth maps: the first ones with what the model knows of water and horizon."""
+    """Final masks, for depth maps: the first ones corrected by water and horizon of the model."""
 
     geometry: Literal["auto", "off"] = "auto"
     """auto = masks that know sky and water are corrected by the waterline and the horizon of the model, if its cameras
-    show which way is up; off = the first masks are the final ones."""
+    define the vertical; off = the first masks are the final ones."""

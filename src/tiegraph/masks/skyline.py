@@ -1,8 +1,8 @@
-"""The sky of one image by its border, the curve along which sky and ground differ most (Shen and Wang 2013), and what
-of a sky cannot be one: the model has points there, and nothing is seen through a sky but more sky.
+"""The sky of one image by its border, the curve along which sky and ground differ most (Shen and Wang 2013), and
+false skies: the model has points there, although nothing is seen through a sky but more sky.
 
 A point seen by other images need not be visible in this one to contradict it: sky hides nothing. So a pale wall that
-was called sky in every image is still found out, by its windows and by what is behind it.
+was called sky in every image is detected, by its windows and by the scene behind it.
 """
 
 import cv2
@@ -18,9 +18,9 @@ _GAMMA = 2.0  # Shen and Wang, section 3: it is part of their energy J
 
 
 def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None = None) -> np.ndarray | None:
-    """Sky (h, w) bool of an image (h, w, 3) u1 BGR from the top down to a border; None if none is believable.
+    """Sky (h, w) bool of an image (h, w, 3) u1 BGR from the top down to a border; None if none is plausible.
 
-    A sky is calmer and brighter than what is below it, and not yellow. Clouds, bridges and up cameras break the border:
+    A sky is calmer and brighter than the part below it, and not yellow. Clouds, bridges and up cameras break it:
     this gives the seeds from which the sky's appearance is learnt, not the mask. ``ego`` (h, w) bool: where the
     platform, or the surround of a fisheye lens, reaches down from the top of the image, the sky begins below it.
     """

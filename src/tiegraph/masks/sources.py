@@ -1,6 +1,6 @@
 """Mask sources by name: each prepares once a camera, then makes the mask of one image after another.
 
-The papers' own are put in by the glue (``tiegraph.papers``).
+The papers' own are added by the glue (``tiegraph.papers``).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,9 +38,9 @@ Look = Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray]
 class MaskSource:
     """One way to make masks.
 
-    ``prepare(cameras, settings, tuning, apply)`` is called once for all sensors and returns what the masks of each have
-    in common, which may say of itself in ``note``; ``apply`` maps a function over items. ``look(image, prepared,
-    settings, tuning, name)`` returns for an image, by what was prepared for its sensor, either (h, w) bool, True = use,
+    ``prepare(cameras, settings, tuning, apply)`` is called once for all sensors and returns the common data of masks
+    of each, which may have a ``note``; ``apply`` maps a function over items. ``look(image, prepared,
+    settings, tuning, name)`` returns for an image, by the data prepared for its sensor, either (h, w) bool, True = use,
     or the class (h, w) u1 of each pixel (``masks``), both at any size; ``name`` is that of the user's file.
     """
 
@@ -65,18 +65,18 @@ def each(prepare: Callable[[Sequence[Path], MasksSettings, Tuning], Any]) -> Cal
 
 
 def nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> None:
-    """What images have in common whose masks share nothing."""
+    """The common data of images whose masks share nothing."""
 
 
 def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     """(name of the source, why) for a scene.
 
-    ``auto`` masks the cameras of a rig on a path, by what is learnt from them. Loose photographs and single cameras are
-    left alone: they share no platform, and a single camera cannot tell water from a road.
+    ``auto`` masks the cameras of a rig on a path, learnt from them. Loose photographs and single cameras are
+    not masked: they share no platform, and a single camera cannot distinguish water from a road.
     Raises InputError if a folder of masks lacks one of the images.
     """
     automatic = settings.source == "auto"
-    name, why = _automatic(scene, settings, tuning) if automatic else (settings.source, "as the setting says")
+    name, why = _automatic(scene, settings, tuning) if automatic else (settings.source, "by the setting")
     if name == "folder" and settings.folder is not None:
         check_folder(settings.folder, [scene.mask_name(k) for k in range(len(scene))])
     return name, why

@@ -1,6 +1,6 @@
-"""What masks decide by: each constant with its unit, its meaning and where its value comes from.
+"""Constants of masks, each with its unit, its meaning and the source of its value.
 
-The groups of what is learnt, from matches to water, stand in `tuning_learnt.py`.
+Those of the learnt classes, from matches to water, are in `tuning_learnt.py`.
 """
 
 from pydantic import Field
@@ -19,23 +19,23 @@ from tiegraph.settings import Section
 
 
 class FramesTuning(Section):
-    """How images are read, and which two of a camera are compared (`frames.py`)."""
+    """Reading of images, and the two of a camera that are compared (`frames.py`)."""
 
     work_px: int = Field(640, gt=0)
     """Longer side at which masks are computed; all sizes in pixels refer to it where they name no other."""
     look_px: int = Field(320, gt=0)
     """Longer side at which appearance is learnt and looked up."""
     compare_px: int = Field(320, gt=0)
-    """Longer side at which two frames are compared for what has moved."""
+    """Longer side at which two frames are compared for motion."""
 
 
 class MovedTuning(Section):
-    """What of the texture moved between two frames (`platform.py`, `quality.py`); sizes at `frames.compare_px`."""
+    """Motion of the texture between two frames (`platform.py`, `quality.py`); sizes at `frames.compare_px`."""
 
     dark_grey: float = Field(10.0, gt=0)
     """Added to the grey values before their logarithm: so dark, noise is no contrast."""
     window_sigma_px: float = Field(3.0, gt=0)
-    """Neighbourhood in which contrast and correlation are taken."""
+    """Neighbourhood for contrast and correlation."""
     texture: float = Field(0.03, ge=0)
     """Contrast in log grey that counts as texture."""
     alike: float = Field(0.5, ge=-1, le=1)
@@ -63,9 +63,9 @@ class PlatformTuning(Section):
     """The platform in the picture (`platform.py`); gradients in grey levels times the Sobel gain of 8."""
 
     min_moved: float = Field(0.4, ge=0, le=1)
-    """Of the textured area must have changed between two frames that count as different."""
+    """Share of the textured area that must have changed between two frames that count as different."""
     min_frames: int = Field(6, gt=0)
-    """Frames that differ from each other which a camera needs before anything is called platform."""
+    """Different frames that a camera needs before anything is called platform."""
     smooth_sigma_px: float = Field(0.8, gt=0)
     """Blur before gradients are taken."""
     coherent: float = Field(0.6, ge=0, le=1)
@@ -73,13 +73,13 @@ class PlatformTuning(Section):
     moving: float = Field(0.45, ge=0, le=1)
     """Share of the textured frames in which the gradient has another direction, from which a place moves."""
     open_px: int = Field(3, gt=0)
-    """Side of the square in which regions and the platform are opened: thinner bits go."""
+    """Side of the square in which regions and the platform are opened: thinner parts are removed."""
     outline: float = Field(0.35, ge=0, le=1)
     """Share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14, dark roads 0.34."""
     rim: float = Field(2 / 640, ge=0)
-    """Of the longer side: the gradients are smoothed, and their kernel is three pixels wide."""
+    """Share of the longer side: the gradients are smoothed, and their kernel is three pixels wide."""
     min_area: float = Field(0.003, ge=0, le=1)
-    """Of the image: smaller parts at its border are no platform."""
+    """Share of the image: smaller parts at its border are no platform."""
     range_left_out_percent: float = Field(10.0, ge=0, lt=50)
     """Of the frames, at either end of that range."""
 
@@ -90,7 +90,7 @@ class Meguro2024Tuning(Section):
     square_px: int = Field(7, gt=0)
     """Structuring element of opening and closing."""
     min_area: float = Field(0.005, ge=0, le=1)
-    """Of the image: smaller areas, white or black, change colour."""
+    """Share of the image: smaller areas, white or black, change colour."""
 
 
 class Meguro2025Tuning(Section):
@@ -116,9 +116,9 @@ class WaterlineTuning(Section):
     """The waterline from geometry (`waterline.py`)."""
 
     column_px: int = Field(8, gt=0)
-    """The bank is sought in every such column of the reduced image."""
+    """The bank is searched in every such column of the reduced image."""
     cells: int = Field(400, gt=0)
-    """Of the plan along its longer side."""
+    """Cells of the plan along its longer side."""
     full: int = Field(2, gt=0)
     """Points in a cell and its neighbours from which it is bank."""
     rounds: int = Field(2, gt=0)
@@ -128,33 +128,33 @@ class WaterlineTuning(Section):
 
 
 class SkyPointsTuning(Section):
-    """Sky that cannot be sky, as the model has points there (`skyline.py`)."""
+    """False sky, because the model has points there (`skyline.py`)."""
 
     dense: float = Field(0.2, ge=0)
     """Density of points within a piece of sky, with the holes in it, as a share of that outside of all sky: 0 .. 0.04
     in the rendered canal, up to 0.17 where trees stand before the sky (PandaSet, KITTI), 0.14 .. 1 on walls with
     windows."""
     least_points: int = Field(4, gt=0)
-    """In a piece of sky, or it stays."""
+    """Least number of points in a piece of sky that is removed."""
     hole: float = Field(0.05, ge=0)
-    """Of the longer side: windows in a piece of sky, that are filled."""
+    """Share of the longer side: windows in a piece of sky, which are filled."""
     edge: float = Field(0.011, ge=0)
-    """Of the longer side: blur of the skyline, that is left out."""
+    """Share of the longer side: blur of the skyline, which is left out."""
     joint: float = Field(0.008, ge=0)
-    """Of the longer side: what joins two pieces of sky."""
+    """Share of the longer side: connections of two pieces of sky."""
     widest: float = Field(3.0, gt=0)
     """Tangent of the angle off the axis up to which lens models are to be trusted."""
 
 
 class RefineTuning(Section):
-    """What of the model corrects the first masks (`pipeline/refine.py`)."""
+    """Corrections of the first masks by the model (`pipeline/refine.py`)."""
 
     most_views: int = Field(240, gt=0)
     """Views whose waterlines measure the water's height."""
     least_track: int = Field(3, gt=0)
-    """Images that must see a point for it to be believed."""
+    """Least number of images that must see a trusted point."""
     most_points: int = Field(20_000, gt=1)
-    """The nearest, that are looked for in the sky of an image."""
+    """The nearest points, which are searched in the sky of an image."""
 
 
 class Tuning(Section):
@@ -163,7 +163,7 @@ class Tuning(Section):
     auto_frames: int = Field(5, gt=0)
     """Frames every camera must have before ``source = auto`` learns masks from them."""
     fisheye_half_deg: float = Field(89.0, gt=0, lt=90)
-    """Off the axis, what of a fisheye image is used that is not cut into views: farther out COLMAP has no rays. With 80
+    """Used field angle of a whole fisheye image: farther off the axis COLMAP has no rays. With 80
     kerry_park_360rig, whole, fell apart (417 points; 755 with 89)."""
     frames: FramesTuning = Field(default_factory=FramesTuning)
     """Reading images."""

@@ -14,8 +14,8 @@ from tiegraph.scene.graph import best_line
 
 @dataclass(frozen=True)
 class Zone:
-    """Where in a camera's images nothing ever matches: ``mask`` (r, c) bool; ``says``: log of P(its features | water)
-    / P(its features | scene); ``prior`` (r, c) f4: the same by place, clipped."""
+    """The zone in a camera's images where nothing ever matches: ``mask`` (r, c) bool; ``says``: log of P(its features |
+    water) / P(its features | scene); ``prior`` (r, c) f4: the same by place, clipped."""
 
     mask: np.ndarray
     prior: np.ndarray
@@ -25,7 +25,7 @@ class Zone:
 def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tuning: WaterTuning) -> Zone:
     """The zone of a camera's images that no match ever falls into, up from the bottom or the platform.
 
-    Roads and meadows match now and then and are no such zone; of a place without texture this knows nothing.
+    Roads and meadows match now and then and are no such zone; places without texture are unknown.
     """
     rows, columns = tuning.grid
     matched, missed = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
@@ -59,10 +59,10 @@ def _shrunk(mask: np.ndarray, tuning: WaterTuning) -> np.ndarray:
 
 
 def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: WaterTuning) -> dict[int, np.ndarray]:
-    """The prior of water in the images of each level camera; {} if no water is believed.
+    """The prior of water in the images of each level camera; {} if no water is accepted.
 
-    Believed if most of at least ``least_cameras`` say so, or if there is any zone and water was ``asked`` for. A camera
-    whose own matches are too few to say where has the others' prior by rows.
+    Accepted if most of at least ``least_cameras`` show it, or if there is a zone and water was ``asked`` for. A camera
+    with too few matches of its own has the others' prior by rows.
     """
     wet = [z for z in zones.values() if z.says >= tuning.zone_says]
     several = len(zones) >= tuning.least_cameras and len(wet) >= tuning.least_share * len(zones)
@@ -77,7 +77,7 @@ def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: WaterTuning) ->
 def below_waterline(
     ratio: np.ndarray, ego: np.ndarray | None, tuning: WaterTuning, block_px: tuple[int, int] | None = None
 ) -> np.ndarray:
-    """Water (h, w) bool: everything below the line that best parts water from the rest, but not the platform.
+    """Water (h, w) bool: everything below the line that best separates water from the rest, but not the platform.
 
     ``ratio`` (h, w) f4: log of P(appearance | water) / P(appearance | not water). The line runs through every column,
     at the bottom where a column has no water; mirrored banks lie below it and are water. Found exactly, by dynamic

@@ -1,4 +1,4 @@
-"""The waterline from geometry: a level plane below the cameras, out to the banks that the sparse model knows.
+"""The waterline from geometry: a level plane below the cameras, out to the banks of the sparse model.
 
 Everything is in the model's units. The plane's height is measured where the waterlines of the first masks meet the
 banks, so it needs neither scale nor GNSS; the first masks' errors average out over thousands of rays.
@@ -32,7 +32,7 @@ class View:
 
 
 def columns(width: int, tuning: WaterlineTuning) -> np.ndarray:
-    """The columns (C,) in which the bank is sought."""
+    """The columns (C,) in which the bank is searched."""
     return np.arange(tuning.column_px // 2, width, tuning.column_px)
 
 
@@ -70,7 +70,7 @@ class Plan:
 @dataclass(frozen=True)
 class Water:
     """The water: ``level`` its height along the upward direction, ``depth`` below the cameras, ``spread`` of
-    what single rays say of it, how many ``rays`` did, and the banks in plan."""
+    the heights by single rays, their number ``rays``, and the banks in plan."""
 
     level: float
     depth: float
@@ -122,7 +122,7 @@ def find_water(
 def _plan(
     points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray, tuning: WaterlineTuning
 ) -> Plan:
-    """The banks: where points (P, 3) stand whose height is within ``band``, within reach of the cameras."""
+    """The banks: points (P, 3) whose height is within ``band``, within reach of the cameras."""
     first = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(up, first)])
@@ -189,7 +189,7 @@ def _first(below: np.ndarray) -> np.ndarray:
 
 
 def final_classes(first: np.ndarray, lines: Lines, tuning: WaterlineTuning) -> np.ndarray:
-    """The classes (h, w) u1 of the first pass, with the water from geometry where that knows, and no sky below the
+    """The classes (h, w) u1 of the first pass, with the water from geometry where it is known, and no sky below the
     horizon. The platform stays as it was learnt."""
     height, width = first.shape
     row = np.arange(height, dtype=np.float32)[:, None]

@@ -1,23 +1,23 @@
-"""Rasters of a finished survey over reference surfaces: heights, sigma, true orthophoto, terrain; and what is measured.
+"""Rasters of a finished survey over reference surfaces: heights, sigma, true orthophoto, terrain; and measurements.
 
 A map and the elevation of a wall are one mechanism: a rigid frame (u, v, w), and rasters of w over (u, v). Of a map
 the axes are east, north and up; of a wall u runs along it, v up and w out of it, so that a viewer in front of it sees
-u grow to the right. Nothing below `choose.py` knows which of the two it makes.
+u grow to the right. Only `choose.py` distinguishes the two.
 
 Points become heights cell by cell: the points that face along w, a robust top of them, and the mean by 1 / sigma^2 of
-what lies at that top, which is what is seen from outside. Small holes are filled by a plane fitted to the cells
-around each pixel: exact on any slope, the same in every tile, and its residuals say how far to trust it. Inverse
-distances (GDAL's fillnodata) step on slopes, and triangles between points of a regular grid depend on which others
-are in the tile.
+the points at that top, which are seen from outside. Small holes are filled by a plane fitted to the cells
+around each pixel: exact on any slope, the same in every tile, and its residuals measure its accuracy. Inverse
+distances (GDAL's fillnodata) step on slopes, and triangles between points of a regular grid depend on the other
+points in the tile.
 
 A true orthophoto takes a pixel from an image only if the image saw the surface there: the finished surface is drawn
-into each image as a depth buffer, with the faces of its steps, and the image's own depth map stands before it what the
+into each image as a depth buffer, with the faces of its steps, and the image's own depth map adds occlusions that the
 surface does not have, such as a mast in front of a wall. Of the images that see a pixel the best by angle, resolution
 and distance from the border gives its colour; OpenCV compensates the exposures of all at once and blends the seams.
 
-Of a map the terrain is told from what stands on it (`terrain.py`), and contour lines are drawn of it; profiles and
-volumes are measured in the finished rasters. A volume's sigma is mostly of what all its pixels share (`volumes.py`).
+For a map the terrain is separated from objects (`terrain.py`), and contour lines are drawn of it; profiles and
+volumes are measured in the finished rasters. A volume's sigma is mostly common to all its pixels (`volumes.py`).
 
-Everything is made by tiles with margins from which the same values follow whatever the tiles, so that memory does not
-grow with the survey and a tile that is finished stays.
+Everything is made by tiles with margins, so that the values do not depend on the tiles, memory does not
+grow with the survey and finished tiles stay.
 """

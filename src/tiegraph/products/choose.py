@@ -1,4 +1,4 @@
-"""Which reference surfaces a survey has: a map where its cameras look down, walls where they look sideways."""
+"""The reference surfaces of a survey: a map where its cameras look down, walls where they look sideways."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import evenly
 
 _TRIED = 400  # planes that are tried for each wall
-_ASKED = 10_000  # points of a surface that tell how far it reaches and what the images resolve
+_ASKED = 10_000  # points of a surface for its extent and the resolution of the images
 _SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
 _REFINED = 5  # times a plane is fitted to the points near it
 _FEWEST = 10  # points on a reference plane at least
@@ -22,7 +22,7 @@ _FEWEST = 10  # points on a reference plane at least
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What is chosen by: a sample of the cloud, the images, the points' spacing, and the shift (3,) from the world to
+    """Data for the choice: a sample of the cloud, the images, the points' spacing, and the shift (3,) from the world to
     the CRS; lengths in ``unit`` (m, or units of a model without scale)."""
 
     sample: Cloud
@@ -43,10 +43,10 @@ class Survey:
 
 
 def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> tuple[list[Surface], list[str]]:
-    """The surfaces whose rasters are made, and remarks that say why. Raises ReconstructionError for a reference plane
+    """The surfaces whose rasters are made, and remarks with reasons. Raises ReconstructionError for a reference plane
     on which no points lie."""
     if settings.make == "none":
-        return [], ["nothing is made, as products.make says"]
+        return [], ["nothing is made, by products.make"]
     down = -float(survey.looking[:, 2].mean())
     sideways = float(np.mean(np.abs(survey.looking[:, 2]) < np.sin(np.radians(tuning.sideways_deg))))
     auto = settings.make == "auto"
@@ -62,8 +62,8 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
     looks = f"{sideways:.0%} of the cameras look sideways, all on average {lean}"
     if not found:
         no_wall = f", and no vertical plane has {tuning.least_share:.0%} of the points" if wants_walls else ""
-        return [], [f"no raster is made: {looks}{no_wall}; products.make = map makes one all the same"]
-    why = [] if not auto else [f"made by what the survey is ({looks}): {', '.join(s.name for s in found)}"]
+        return [], [f"no raster is made: {looks}{no_wall}; products.make = map makes one nevertheless"]
+    why = [] if not auto else [f"chosen by the view directions ({looks}): {', '.join(s.name for s in found)}"]
     made = [_trimmed(s, survey, settings, tuning) for s in found]
     shares = [f"{s.name}: {s.share:.0%} of the points" for s in made if np.isfinite(s.share)]
     sizes = [f"{s.name}: {s.shape[1]} x {s.shape[0]} pixels of {s.pixel_m:g} {survey.unit}" for s in made]
@@ -80,7 +80,7 @@ def _map(survey: Survey) -> Surface:
 def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
     """The largest vertical planes of the points, each tried with the point and normal of one of them."""
     xyz, normal = survey.sample.xyz_m, survey.sample.normal
-    free = np.abs(normal[:, 2]) < np.sin(np.radians(tuning.upright_deg))  # of NaN too: no
+    free = np.abs(normal[:, 2]) < np.sin(np.radians(tuning.upright_deg))  # False for NaN too
     found: list[Surface] = []
     while len(found) < tuning.walls and free.sum() >= _FEWEST:
         at = np.flatnonzero(free)
@@ -160,7 +160,8 @@ def _inside(surface: Surface, cloud: Cloud) -> np.ndarray:
 
 
 def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> Surface:
-    """With the size of its pixels, and a box of whole pixels around nearly all of its points that images resolve."""
+    """The surface with the size of its pixels, and a box of whole pixels around nearly all points that images
+    resolve."""
     own = survey.sample.xyz_m[_inside(surface, survey.sample)]
     own = own[evenly(len(own), _ASKED)]
     sizes = _resolved(own, survey.views)
@@ -169,9 +170,9 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     near = sizes <= tuning.coarsest * pixel
     uv = transforms.apply(surface.surface_from_world, own[near] if near.any() else own)[:, :2]
     low, high = np.quantile(uv, [tuning.trimmed, 1 - tuning.trimmed], axis=0)
-    wide = 0.05 * (high - low)  # what was trimmed of an even cover, and more
+    wide = 0.05 * (high - low)  # more than the part trimmed of an even cover
     low, high = np.maximum(low - wide, uv.min(axis=0)), np.minimum(high + wide, uv.max(axis=0))
-    low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # what was said of it holds
+    low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # given limits are kept
     high = np.where(np.isfinite(surface.high), surface.high, np.append(high, 0.0))
     frame, offset = surface.surface_from_world.copy(), survey.shift
     if surface.name != MAP:  # u counts from the left end, v is the height
@@ -184,7 +185,7 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
 
 
 def _resolved(xyz: np.ndarray, views: Sequence[View]) -> np.ndarray:
-    """Size (M,) that a pixel of the image that is nearest has at points (M, 3); NaN where no image sees one."""
+    """Size (M,) of a pixel of the nearest image at points (M, 3); NaN where no image sees one."""
     sizes = np.full(len(xyz), np.nan)
     for view in views:
         sizes = np.fmin(sizes, project(view.camera, xyz)[2] / focal(view.camera))

@@ -10,7 +10,7 @@ from tiegraph.products.tuning import ContourTuning
 
 _SERIES = (1.0, 2.0, 5.0)
 _INDEX = 5  # every so many lines one is an index line, drawn thick
-_TAILS = 0.002  # of the heights at either end that are no relief
+_TAILS = 0.002  # share of the heights at either end that is no relief
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +25,9 @@ class Line:
 
 
 def equidistance(w: np.ndarray, sigma: np.ndarray, tuning: ContourTuning) -> float:
-    """Difference of height between contour lines of heights (rows, columns) with their sigma, NaN = not known: the
-    least of 1, 2 and 5 times a power of ten that gives no more lines than there may be, and is no finer than the
-    heights are known. 0 where nothing is known."""
+    """Interval of contour lines of heights (rows, columns) with their sigma, NaN = not known: the
+    least of 1, 2 and 5 times a power of ten that gives no more lines than allowed, and is no finer than the
+    accuracy of the heights. 0 where nothing is known."""
     known = np.isfinite(w) & np.isfinite(sigma)
     if not known.any():
         return 0.0

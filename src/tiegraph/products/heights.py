@@ -10,11 +10,11 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import run_starts
 
 _LEAST_SUPPORT = 1.0  # sum of the weights of the cells around a pixel of a hole, ...
-_LEAST_SPREAD = 1e-2  # ... which lie not in a line: squared deviations along their axes, multiplied, in pixels^4
+_LEAST_SPREAD = 1e-2  # ... which are not collinear: squared deviations along their axes, multiplied, in pixels^4
 
 
 def margin(tuning: HeightTuning) -> int:
-    """Pixels around a window whose points decide about its heights."""
+    """Pixels around a window whose points affect its heights."""
     return 6 * tuning.hole_px
 
 
@@ -30,9 +30,9 @@ def height_tile(points: Cloud, surface: Surface, window: Window, tuning: HeightT
 def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning) -> tuple[np.ndarray, np.ndarray]:
     """w and its sigma (rows, columns) f8 of the cells of a window in which there are points.
 
-    The top of a cell is its highest point that another one supports from just below, which a stray has not; the height
-    is the mean by 1 / sigma^2 of the points that lie there. Its sigma is that of the mean of as many as do not share
-    their errors, times what they scatter more than their sigmas let expect.
+    The top of a cell is its highest point with another one just below it, which a stray lacks; the height
+    is the mean by 1 / sigma^2 of the points that lie there. Its sigma is that of the mean of points with independent
+    errors, times the ratio of their scatter to their sigmas if that exceeds 1.
     """
     uvw = transforms.apply(surface.surface_from_world, points.xyz_m)
     column = np.floor((uvw[:, 0] - surface.low[0]) / surface.pixel_m).astype(int) - window.column
@@ -66,7 +66,7 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
 
 
 def _without_strays(w: np.ndarray, tuning: HeightTuning) -> np.ndarray:
-    """Without cells that have hardly a neighbour."""
+    """Without nearly isolated cells."""
     known = np.isfinite(w)
     size = 2 * tuning.hole_px + 1
     around = cv2.boxFilter(known.astype(np.float32), -1, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -77,8 +77,8 @@ def filled(w: np.ndarray, sigma: np.ndarray, hole_px: int) -> tuple[np.ndarray, 
     """w and its sigma (rows, columns), NaN = not known, with holes of up to about twice ``hole_px`` filled by the plane
     of the cells around each of their pixels, by a Gaussian of their distance.
 
-    The variance is the mean one of the cells or, where they scatter more about the plane, for the surface is rough or
-    steps, that. It is not less for their number: neighbours share their errors.
+    The variance is the mean one of the cells or, if they scatter more about the plane because the surface is rough or
+    steps, that scatter. It is not reduced by their number: neighbours share their errors.
     """
     known = np.isfinite(w)
     size = 2 * hole_px + 1

@@ -1,6 +1,6 @@
 """True orthophotos: each pixel from the image that shows it best, exposures compensated, seams blended.
 
-What an image sees of a surface: a buffer of depths, and a score for every pixel of the raster that it sees."""
+The view of a surface in an image: a buffer of depths, and a score for every pixel of the raster that it sees."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,11 +17,11 @@ from tiegraph.products.tuning import OrthoTuning
 from tiegraph.scene.results import DepthMap
 
 _NOTHING = np.float32(1e30)  # a depth
-_STEEPEST = 5.0  # tangent of the angle at which a surface is seen, for how far its depth may be off
+_STEEPEST = 5.0  # tangent of the incidence angle, for the tolerance of its depth
 _SMOOTH_PX = 5  # raster pixels over which the slope of the surface is taken
-_COVER = 2.0  # raster pixels in one of the buffer, more than the square root of 2: none is left without any
-_AGREE_PX = 15  # raster pixels over which the share of those is taken whose depth the image confirms
-_LOOK = 16  # raster pixels between those that tell how near the surface is
+_COVER = 2.0  # raster pixels in one of the buffer, more than the square root of 2: none is left empty
+_AGREE_PX = 15  # raster pixels for the share of those whose depth the image confirms
+_LOOK = 16  # raster pixels between those that give the distance of the surface
 _TILE = 1024  # raster pixels along the edge of what is drawn at once
 
 Heights = Callable[[Window, int], np.ndarray]
@@ -37,7 +37,7 @@ Pictures = Callable[[int], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Buffer:
-    """What an image sees: depth (h, w) f4 of the surface where it is nearest; own (h, w) f4 the image's own depth and
+    """The view of an image: depth (h, w) f4 of the nearest surface; own (h, w) f4 the image's own depth and
     own_sigma (h, w) f2, NaN = not known; border (h, w) f2 the distance to the image border or mask as a share of the
     image's shorter side, 0 = masked; ``scale`` (2,) image pixels, across and down, of one of the buffer's, and how many
     image pixels a pixel of the raster has where it is nearest (``fine``)."""
@@ -89,7 +89,7 @@ def draw(
             column = np.minimum((x[there] / scale[0]).astype(int), size[0] - 1)
             row = np.minimum((y[there] / scale[1]).astype(int), size[1] - 1)
             np.minimum.at(depth, (row, column), z[there].astype(np.float32))
-    depth = cv2.erode(depth, np.ones((3, 3), np.uint8))  # pixels at an edge show some of what lies before it
+    depth = cv2.erode(depth, np.ones((3, 3), np.uint8))  # pixels at an edge show some of the nearer surface
     measured = np.full((2, *size[::-1]), np.nan, np.float32)
     if own is not None:
         for k, values in enumerate((own.depth_m, own.sigma_m)):
@@ -128,7 +128,7 @@ def _drawn(surface: Surface, window: Window, w: np.ndarray) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A window of a surface as images are asked for it: world points (rows, columns, 3), NaN = not known, normals
+    """A window of a surface as input for images: world points (rows, columns, 3), NaN = not known, normals
     (rows, columns, 3) in the world, sigma (rows, columns) of w."""
 
     xyz: np.ndarray
@@ -151,7 +151,7 @@ class Ground:
 
 
 def score(view: View, buffer: Buffer, ground: Ground, surface: Surface, tuning: OrthoTuning) -> np.ndarray:
-    """How well an image shows each pixel (rows, columns), 0 = not at all, 1 = from straight in front, no coarser than
+    """Score of an image for each pixel (rows, columns), 0 = not visible, 1 = from straight in front, no coarser than
     the raster and far from its border."""
     camera = view.camera
     x, y, z = project(camera, ground.xyz)
@@ -175,13 +175,13 @@ def score(view: View, buffer: Buffer, ground: Ground, surface: Surface, tuning: 
     good[there] = np.minimum(1, surface.pixel_m / size) * away**tuning.angle_power
     good[there] *= np.minimum(1, buffer.border[row, column] / tuning.border)
     seen[there], agrees[there] = free, free & (np.abs(behind) <= close)
-    seen &= cv2.medianBlur((seen | ~there).astype(np.uint8), 5) > 0  # of what is hidden no specks are seen
+    seen &= cv2.medianBlur((seen | ~there).astype(np.uint8), 5) > 0  # without specks in hidden areas
     share = cv2.blur(agrees, (_AGREE_PX, _AGREE_PX), borderType=cv2.BORDER_REFLECT)
     return np.where(seen, good * (tuning.unconfirmed + share), 0.0).astype(np.float32)
 
 
 def ortho_margin(tuning: OrthoTuning) -> int:
-    """Pixels around a window that decide about its colours."""
+    """Pixels around a window that affect its colours."""
     return 4 << tuning.bands
 
 
@@ -208,7 +208,7 @@ class Images:
 
 
 def block_px(images: int) -> int:
-    """Raster pixels along the edge of the blocks whose colours tell the exposures: larger for many images, whose blocks
+    """Raster pixels along the edge of the blocks for the exposures: larger for many images, whose blocks
     are in memory together."""
     return _BLOCK << max(0, math.ceil(math.log(max(images, 1) / _FEW, 4)))
 
@@ -222,7 +222,7 @@ def patch(
     block: int,
     tuning: OrthoTuning,
 ) -> Patch | None:
-    """What an image shows of the blocks of so many pixels of a surface; None if it sees none."""
+    """The view of an image on the blocks of a surface, of so many pixels; None if it sees none."""
     tiles = windows_met(view.camera, surface)
     row, column = min(t.row for t in tiles), min(t.column for t in tiles)
     bottom, right = max(t.row + t.rows for t in tiles), max(t.column + t.columns for t in tiles)
@@ -296,8 +296,8 @@ def _blended(
     """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image which pixels it
     sees, as packed bits, and its ``Buffer.fine``.
 
-    Where an image does not see a pixel it has the colour of the one that does, lest what hides it shines through; where
-    none does all have that of the nearest pixel, lest what is not there does.
+    Where an image does not see a pixel it gets the colour of the one that does, so that occlusions do not show; where
+    none does all have that of the nearest pixel.
     """
     rgb = np.zeros((*source.shape, 3), np.uint8)
     warped: dict[int, np.ndarray] = {}

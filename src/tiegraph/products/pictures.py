@@ -43,7 +43,7 @@ def relief(path: Path, width: int, unit: str, lines: Sequence[Line] = ()) -> byt
     high = max(high, low + 1e-6)
     tint = _tints((np.nan_to_num(w, nan=low) - low) / (high - low))
     shade = hillshade(np.pad(np.where(known, w, np.nan), 1, mode="edge"), pixel)[..., None] / 255.0
-    light = np.where(shade > 0, 0.35 + 0.9 * shade, 1.0)  # no shade at the edge of what is known
+    light = np.where(shade > 0, 0.35 + 0.9 * shade, 1.0)  # no shade at the edge of the known area
     drawn = np.where(known[..., None], np.clip(tint * light, 0, 255), 255).astype(np.uint8)
     for line in lines:
         _draw(drawn, (line.uv - [to_file.c, to_file.f]) / [pixel, -pixel], line)
@@ -83,7 +83,7 @@ def _write(bgr: np.ndarray, text: str, middle: np.ndarray) -> None:
 
 
 def _scale(width: int, low: float, high: float, unit: str) -> np.ndarray:
-    """The strip (rows, width, 3) BGR that says which colour is which height."""
+    """The strip (rows, width, 3) BGR with the scale of the colours."""
     strip = np.full((_BAR, width, 3), 255, np.uint8)
     strip[6:20] = _tints(np.broadcast_to(np.linspace(0, 1, width), (14, width)))
     digits = max(0, 2 - int(np.floor(np.log10(high - low))))

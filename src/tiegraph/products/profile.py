@@ -16,8 +16,8 @@ _DRAWN = {"dsm": ("surface", "0.45"), "dtm": ("terrain", "tab:brown")}
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Places (N, 2), east and north, along a line, their distances (N,) from its beginning, and what the rasters have
-    there, (N,) each by name, NaN = not known; lengths in ``unit``."""
+    """Places (N, 2), east and north, along a line, their distances (N,) from its beginning, and the values of the
+    rasters there, (N,) each by name, NaN = not known; lengths in ``unit``."""
 
     distance: np.ndarray
     places: np.ndarray
@@ -45,7 +45,7 @@ def along(line: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
 
 def sampled(read: Callable[[Window], np.ndarray], pixels: np.ndarray) -> np.ndarray:
     """Values (N,) at places (N, 2), columns and rows in pixels from the corner of a raster, between the centres of four
-    known pixels, elsewhere NaN; ``read`` gives a window of it. Windows are as large as what is read at once needs."""
+    known pixels, elsewhere NaN; ``read`` gives a window of it. Windows are as large as needed for one reading."""
     out = np.full(len(pixels), np.nan)
     for start in range(0, len(pixels), _AT_ONCE):
         column, row = pixels[start : start + _AT_ONCE].T - 0.5
@@ -61,7 +61,7 @@ def sampled(read: Callable[[Window], np.ndarray], pixels: np.ndarray) -> np.ndar
 
 
 def chart(profile: Profile) -> bytes:
-    """The profile as SVG: surface and terrain, each with a band of two sigmas; heights are exaggerated, as it says."""
+    """The profile as SVG: surface and terrain, each with a band of two sigmas; heights are exaggerated, as stated."""
     import matplotlib  # a second
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

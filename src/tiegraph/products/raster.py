@@ -24,8 +24,8 @@ _OVER_RAW = 1.5  # a file with its overviews takes so many times the bytes of it
 
 @dataclass(frozen=True)
 class Kind:
-    """A raster: type of its numbers, its bands and what each means, the value that stands for none, how overviews are
-    made of it, and whether it is in units of the world."""
+    """A raster: type of its numbers, its bands and their meanings, the value for none, the resampling of
+    overviews, and whether it is in units of the world."""
 
     dtype: str
     bands: tuple[str, ...]
@@ -47,8 +47,8 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Place:
-    """Where the world of the rasters is: its origin on the Earth, if any, the unit of its lengths ("m" or "units"), and
-    what is ``said`` of the accuracy."""
+    """Georeference of the rasters: the origin of the world on the Earth, if any, the unit of its lengths ("m" or
+    "units"), and a text ``said`` on the accuracy."""
 
     origin: Origin | None
     unit: str = "m"
@@ -64,13 +64,13 @@ class Place:
         return rasterio.crs.CRS.from_wkt(f'LOCAL_CS["{name}",UNIT["metre",1],AXIS["u",EAST],AXIS["v",NORTH]]')
 
     def frame(self, surface: Surface) -> np.ndarray:
-        """(4, 4) from coordinates of the CRS (of the world, where it has none) to (u, v, w) of the files."""
+        """(4, 4) from coordinates of the CRS (of the world, if it has none) to (u, v, w) of the files."""
         shift = np.zeros(3) if self.origin is None else np.asarray(self.origin.shift_m)
         to_world = transforms.rigid(np.eye(3), -shift)
         return transforms.rigid(np.eye(3), surface.offset) @ surface.surface_from_world @ to_world
 
     def described(self, surface: Surface) -> dict:
-        """What ``frame.json`` says, JSON-ready."""
+        """The content of ``frame.json``, JSON-ready."""
         axes = ("east", "north", "up") if surface.name == MAP else ("along the wall", "up", "out of the wall")
         return {
             "surface": surface.name,
@@ -90,8 +90,8 @@ def write_raster(
     """Write the raster whose kind is the name of ``path``, of windows and their values (bands, rows, columns); one band
     may be without its axis.
 
-    Lengths that are NaN become nodata. ``scratch``: a folder for its pixels as they are until it is done. Raises
-    InputError for a full disk, before GDAL meets it: what GDAL cannot write it only logs.
+    Lengths that are NaN become nodata. ``scratch``: a folder for its raw pixels until it is done. Raises
+    InputError for a full disk, before GDAL meets it: GDAL only logs failed writes.
     """
     kind, raw = KINDS[path.stem], scratch / f"{path.stem}.tif"
     rows, columns = surface.shape

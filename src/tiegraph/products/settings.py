@@ -8,16 +8,17 @@ from tiegraph.settings import Section
 
 
 class ProductsSettings(Section):
-    """Rasters that are taken away: surface model, its sigma, true orthophoto; of a map or of elevations of walls."""
+    """Delivered rasters: surface model, its sigma, true orthophoto; of a map or of elevations of walls."""
 
     make: Literal["auto", "none", "map", "elevations", "both"] = "auto"
-    """What is made; auto = a map where cameras look down, elevations of the largest walls where they look sideways."""
+    """Rasters to make; auto = a map where cameras look down, elevations of the largest walls where they look
+    sideways."""
     pixel_m: float | None = Field(None, gt=0, le=1000)
     """Size of a pixel in metres (units of the model without georeference; default: by what the images resolve and how
     dense the points are, rounded up)."""
     plane: tuple[float, float, float, float] | None = None
-    """A vertical reference plane instead of those that are found: east and north of its left and of its right end as
+    """A vertical reference plane instead of detected ones: east and north of its left and of its right end as
     seen from in front of it, in the CRS."""
     objects_m: float = Field(40.0, gt=0, le=1000)
-    """Of a map: trees, cars and houses up to so wide, metres, are taken off the terrain model; what is wider in every
-    direction, such as a hall or a closed forest, stays in it. Terrain is interpolated to half of this."""
+    """For a map: trees, cars and houses up to this width, metres, are removed from the terrain model; wider objects in
+    every direction, such as a hall or a closed forest, stay in it. Terrain is interpolated to half of this."""

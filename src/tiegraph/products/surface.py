@@ -40,7 +40,7 @@ class Surface:
     """A frame (4, 4) surface_from_world, the corners (3,) of its box in (u, v, w), the edge of a pixel in world units
     (0 = not chosen yet), and the share of the points that a wall has (NaN = not found by its points).
 
-    Files have (u, v, w) plus ``offset`` (3,): of a map the shift to its CRS, of a wall the height of it. There the
+    Files have (u, v, w) plus ``offset`` (3,): for a map the shift to its CRS, for a wall its height. There the
     corners in u and v are whole pixels; row 0 lies at the largest v.
     """
 

@@ -1,16 +1,16 @@
-"""Terrain below trees, cars and houses, of the heights of a map.
+"""Terrain below trees, cars and houses, from the heights of a map.
 
-Which cells of a coarse grid are ground is told by the simple morphological filter (Pingel, Clarke and McBride, "An
+Ground cells of a coarse grid are found by the simple morphological filter (Pingel, Clarke and McBride, "An
 improved simple morphological filter for the terrain classification of airborne LIDAR data", ISPRS Journal of
-Photogrammetry and Remote Sensing 77, 2013): openings by discs that grow cell by cell, each of what the last one left,
-take off first cars and crowns, then houses; what goes at once higher than a slope would let it is an object. It works
-on a raster as it is. The cloth simulation of Zhang et al. (2016) was tried: on slopes of 1 in 2 it kept a quarter to
+Photogrammetry and Remote Sensing 77, 2013): openings by discs that grow cell by cell, each of the previous result,
+remove first cars and crowns, then houses; a step larger than a slope allows is an object. It works
+directly on a raster. The cloth simulation of Zhang et al. (2016) was tried: on slopes of 1 in 2 it kept a quarter to
 half of the ground, this filter nine tenths; its library runs on OpenMP threads that write to each other's nodes, so
 that two runs may differ (its issues 21 and 52), and prints to standard output.
 
-The pixels near the ground of the cells are ground and keep their height; below all else the terrain is interpolated
-from cell to cell by planes, small holes by what is next to them, and brought to the pixels around. The grid is of the
-whole map, but of a bounded number of cells; all pixels are dealt with tile by tile.
+The pixels near the ground of the cells are ground and keep their height; elsewhere the terrain is interpolated
+from cell to cell by planes, small holes by their surroundings, and then to the pixels. The grid covers the
+whole map, but with a bounded number of cells; all pixels are processed tile by tile.
 """
 
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ from tiegraph.products.tuning import TerrainTuning
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
-_JOINED = 2  # cells; twice that is a gap through which nobody looks out
-_EVEN = 2.0  # cells over which what was interpolated is smoothed: where holes of two sizes meet it steps
-_FADE = 0.01  # share of a full window of pixels at which what the ground is off by counts half
+_JOINED = 2  # cells; twice that is a gap that is closed
+_EVEN = 2.0  # cells over which interpolated terrain is smoothed: where holes of two sizes meet it steps
+_FADE = 0.01  # share of a full window of pixels at which the offset of the ground counts half
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Terrain:
 
 
 def step_of(shape: tuple[int, int], pixel_m: float, tuning: TerrainTuning) -> int:
-    """Pixels along a cell, a power of two: the most that are no larger than a cell should be, or more, so that the
+    """Pixels along a cell, a power of two: the most within the wanted size of a cell, or more, so that the
     whole grid (rows, columns of pixels) does not have too many."""
     step = 1
     while 2 * step * pixel_m <= tuning.cell_m * 1.0001 or shape[0] * shape[1] > MOST_CELLS * step**2:
@@ -78,7 +78,7 @@ def _blocks(values: np.ndarray, step: int) -> np.ndarray:
 
 
 def bare(low: np.ndarray, noise: float, cell_m: float, objects_m: float, tuning: TerrainTuning) -> np.ndarray:
-    """Heights of cells (rows, columns), NaN where there are none or an object of up to ``objects_m`` stands; ``noise``:
+    """Heights of cells (rows, columns), NaN where there are none or an object of up to ``objects_m``; ``noise``:
     their sigma."""
     known = np.isfinite(low)
     if not known.any():
@@ -90,7 +90,7 @@ def bare(low: np.ndarray, noise: float, cell_m: float, objects_m: float, tuning:
         with np.errstate(invalid="ignore"):
             stands |= last - opened > tuning.slope * radius * cell_m + tuning.noise_sigmas * noise
         last = opened
-    beside = cv2.dilate(stands.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # half of it, or what leans on it
+    beside = cv2.dilate(stands.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # its other half, or adjoining objects
     return np.where(beside, np.nan, low)
 
 
@@ -105,7 +105,7 @@ def _opened(w: np.ndarray, known: np.ndarray, radius: int) -> np.ndarray:
 
 
 def footprint(known: np.ndarray) -> np.ndarray:
-    """Cells (rows, columns) bool in which the surface is ``known``, or around which it is: beyond there is no
+    """Cells (rows, columns) bool in which the surface is ``known``, or which such cells surround: beyond there is no
     terrain."""
     closed = np.pad(known, _JOINED + 1)
     closed = ndimage.binary_closing(closed, ndimage.generate_binary_structure(2, 2), iterations=_JOINED)
@@ -132,8 +132,8 @@ def through(w: np.ndarray, sigma: np.ndarray, step: int, reach: int, within: np.
 
 
 def ground(w: np.ndarray, sigma: np.ndarray, low: Terrain, window: Window, tuning: TerrainTuning) -> np.ndarray:
-    """Which pixels (rows, columns) of a window are ground: those near the ``low`` terrain through the cells, but for
-    the rims of what is not."""
+    """Which pixels (rows, columns) of a window are ground: those near the ``low`` terrain through the cells, except
+    the rims of objects."""
     level, _, known = low.at(window)
     slope = np.hypot(*np.gradient(level)) if min(level.shape) > 1 else np.zeros_like(level)
     with np.errstate(invalid="ignore"):
@@ -158,7 +158,7 @@ def _mean(values: np.ndarray) -> np.ndarray:
 
 
 def margin(step: int, tuning: TerrainTuning) -> int:
-    """Pixels around a window whose heights decide about its terrain."""
+    """Pixels around a window whose heights affect its terrain."""
     return 2 * step + tuning.rim_px + 1
 
 
@@ -168,8 +168,8 @@ def terrain_tile(
     """w of the terrain and its sigma (rows, columns) f4 of a window, NaN = not known, of the surface's w and sigma over
     it and its margin.
 
-    Ground keeps its height and sigma. Elsewhere it is the terrain of the ``cells`` plus what the ground pixels around
-    are off it, which fades with their distance: no step where an object begins.
+    Ground keeps its height and sigma. Elsewhere it is the terrain of the ``cells`` plus the offset of the ground pixels
+    around, which fades with their distance: no step where an object begins.
     """
     wide = margin(cells.step, tuning)
     around = window.grown(wide)

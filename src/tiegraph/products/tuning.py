@@ -1,4 +1,4 @@
-"""What products decides by: each constant with its unit, its meaning and where its value comes from."""
+"""Constants of products, each with its unit, its meaning and the source of its value."""
 
 from pydantic import Field
 
@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class ChooseTuning(Section):
-    """What is made of a survey (`choose.py`)."""
+    """The reference surfaces of a survey (`choose.py`)."""
 
     down: float = Field(0.5, ge=0, le=1)
     """Cameras look down if the mean of their view directions points down by this much at least: 60 deg off the
@@ -14,33 +14,33 @@ class ChooseTuning(Section):
     sideways_deg: float = Field(45.0, gt=0, le=90)
     """A camera looks sideways if it is at most this far off the horizon."""
     least_sideways: float = Field(0.25, ge=0, le=1)
-    """Share of the cameras that must look sideways for walls to be looked for."""
+    """Share of the cameras that must look sideways for a search of walls."""
     walls: int = Field(3, ge=1)
-    """Elevations at most."""
+    """Largest number of elevations."""
     least_share: float = Field(0.1, gt=0, le=1)
-    """Share of the cloud's points that a wall has at least: the third side of a lock has as much."""
+    """Least share of the cloud's points on a wall: the third side of a lock has as much."""
     reach: float = Field(0.25, gt=0, le=1)
-    """How far a wall's surface may lie before or behind its plane, as a share of the distance from which it was taken:
+    """Largest distance of a wall's surface from its plane, as a share of the distance from which it was taken:
     balconies belong to it, the other bank does not."""
     flatness: float = Field(0.05, gt=0, le=1)
-    """Points this near to a plane, as the same share, speak for it."""
+    """Points this near to a plane, as the same share, count for it."""
     upright_deg: float = Field(20.0, gt=0, le=90)
     """Normals of a wall's points deviate from that of its plane by at most this."""
     coarsest: float = Field(3.0, ge=1)
-    """A raster reaches as far as images resolve the surface by so many of its pixels, ..."""
+    """A raster reaches as far as images resolve the surface by this many of its pixels, ..."""
     trimmed: float = Field(0.005, ge=0, lt=0.5)
-    """... but for this share of the points at each border: strays far away would make it endless."""
+    """... except for this share of the points at each border: distant strays would make it endless."""
 
 
 class HeightTuning(Section):
     """From points to a surface (`heights.py`)."""
 
     layer_sigmas: float = Field(3.0, gt=0)
-    """Points of a cell this many standard deviations (and a pixel, for slopes) apart may be of one surface: a top that
-    no other supports is a stray, and what is farther below it is not seen from outside."""
+    """Points of a cell this many standard deviations (and a pixel, for slopes) apart may be of one surface: a top
+    without support by another is a stray, and points farther below it are not seen from outside."""
     shared: float = Field(10.0, ge=1)
-    """Points of a cell that have one error together, as the matcher's windows give it to neighbours: on the walls of
-    `canal_demo` points up to 5 spacings apart differ by 0.5 to 0.7 of what their sigmas say."""
+    """Points of a cell with a common error, by the matcher's windows: on the walls of
+    `canal_demo` points up to 5 spacings apart differ by 0.5 to 0.7 of their sigmas."""
     backward: float = Field(0.3, ge=0, le=1)
     """Points whose normals point this far away from w are not seen from outside: the underside of a bridge."""
     hole_px: int = Field(5, ge=1, le=50)
@@ -112,7 +112,7 @@ class OrthoTuning(Section):
     """Score of an image whose own depth map has no depth there, beside one that has the surface's: it may see something
     else, such as a bridge in front of a wall."""
     shade_sigmas: float = Field(3.0, gt=0)
-    """What lies this many standard deviations behind what the image saw is hidden."""
+    """Points this many standard deviations behind the surface seen by the image are hidden."""
     bands: int = Field(4, ge=0, le=8)
     """Bands of the blending of seams: colours are blended over 2^bands pixels, edges over few."""
 

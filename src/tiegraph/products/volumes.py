@@ -1,24 +1,24 @@
-"""Volumes between a surface and a base inside a polygon, with a sigma that holds what many pixels share.
+"""Volumes between a surface and a base inside a polygon, with a sigma that includes common errors of many pixels.
 
 A volume is a sum over pixels, V = sum c_i (h_i - b_i), c_i being the area of a pixel inside the polygon; cut is the sum
-where h > b, fill where h < b. Its variance is the sum of what is independent:
+where h > b, fill where h < b. Its variance is the sum of independent parts:
 
 * ``noise``: sum_ij c_i c_j s_i s_j r_ij = N sum c_i^2 s_i^2, with the stated sigmas s and N, the sum of the correlation
   r over all lags, in pixels (Rolstad, Haug and Denby, "Spatially integrated geodetic glacier mass balance and its
   uncertainty based on geostatistical analysis", Journal of Glaciology 55, 2009). N is measured on the heights about
-  local planes. What the stated variance has more than these scatter is shared by farther neighbours, nobody knows how
-  many, and counts as one error of all: (sum c_i s_i)^2 times its share.
+  local planes. The excess of the stated variance over this scatter is common to an unknown number of farther
+  neighbours, and counts as one error of all: (sum c_i s_i)^2 times its share.
 * ``base``: g' C g, g the derivative by the parameters of the base, C their covariance. That of a plane fitted to the
   ground around the polygon is the sandwich of the means of its sectors (Liang and Zeger, "Longitudinal data analysis
-  using generalized linear models", Biometrika 73, 1986): it holds noise, shared noise and ground that is no plane.
-* ``world``: g' C g, C the covariance (7, 7) of the placement in the world. The polygon was drawn on the map and goes
-  along: dV is the sum of c (dz - grad b . (dx, dy) + (h - b) div (dx, dy)), less what the base changes. A base of the
-  same survey goes along too, so that of a heap on its own ground hardly more than three times the scale is left.
-* ``shape``: the model may be bent: the sigma of a height against one as far away as the polygon is wide, or, of a base
-  from elsewhere, that of the model as a whole, times the area.
-* ``near_base`` (cut and fill, not net): noise about a surface that lies on the base is cut here and fill there. What it
-  adds to each is the expected loss s (phi(t) - |t| Phi(-|t|)), t = (h - b) / s, of the true h; by the measured ones,
-  which have the noise once already, it is sqrt(2) - 1 of that where the surface lies on the base. It is added as it is.
+  using generalized linear models", Biometrika 73, 1986): it includes noise, common noise and ground that is no plane.
+* ``world``: g' C g, C the covariance (7, 7) of the placement in the world. The polygon was drawn on the map and moves
+  with it: dV is the sum of c (dz - grad b . (dx, dy) + (h - b) div (dx, dy)), less the change of the base. A base of
+  the same survey moves too, so that of a heap on its own ground hardly more than three times the scale is left.
+* ``shape``: the model may be bent: the sigma of a height against one as far away as the polygon is wide, or, for a base
+  from another source, that of the model as a whole, times the area.
+* ``near_base`` (cut and fill, not net): noise about a surface on the base is cut here and fill there. Its contribution
+  to each is the expected loss s (phi(t) - |t| Phi(-|t|)), t = (h - b) / s, of the true h; by the measured ones,
+  which include the noise once already, it is sqrt(2) - 1 of that where the surface lies on the base. It is added whole.
 """
 
 from dataclasses import dataclass, field
@@ -35,9 +35,9 @@ from tiegraph.geometry.transforms import motions
 from tiegraph.products.heights import planes
 from tiegraph.products.tuning import VolumeTuning
 
-_FINER = 4  # parts of a pixel along its edge that tell its share inside a polygon
-_SAMPLE = 512  # pixels along the edge of what tells how errors are shared
-_FITS = 2.0  # times the usual scatter about planes is where they do not fit
+_FINER = 4  # parts of a pixel along its edge for its share inside a polygon
+_SAMPLE = 512  # pixels along the edge of the sample for common errors
+_FITS = 2.0  # planes do not fit where the scatter about them is larger than the usual one by this factor
 _LEAST = 0.1  # correlation below which two pixels share nothing
 _FEWEST = 12  # pixels of the ground around, and sectors with some
 
@@ -69,7 +69,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Known:
-    """How well a survey is known: its placement, the sigma of heights against each other over the polygon, and that of
+    """Accuracy of a survey: its placement, the sigma of heights against each other over the polygon, and that of
     the model as a whole, both of its shape."""
 
     placed: PlacementError | None = None
@@ -79,7 +79,7 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """What a volume is measured from: heights (rows, columns) = sum of ``design`` (K, rows, columns) times parameters
+    """The base of a volume: heights (rows, columns) = sum of ``design`` (K, rows, columns) times parameters
     with a covariance (K, K), which the placement moves by ``moved`` (K, 7). ``own``: it is of the same survey;
     ``other``: it is another survey's surface."""
 
@@ -166,8 +166,8 @@ def _rim(ground: Patch, polygon: np.ndarray, tuning: VolumeTuning) -> np.ndarray
 
 
 def _moved(patch: Patch, slope: np.ndarray, known: Known) -> np.ndarray:
-    """(7, rows, columns): how far places of a surface rise above one of a ``slope`` (2, rows, columns), to the east and
-    north, when it is moved by turn, shift and log scale of the world."""
+    """(7, rows, columns): rise of places of a surface above one of a ``slope`` (2, rows, columns), to the east and
+    north, when it is moved by rotation, shift and log scale of the world."""
     out = np.zeros((7, *patch.w.shape))
     if known.placed is None:
         return out
@@ -187,7 +187,7 @@ def _slope(w: np.ndarray, pixel: float) -> np.ndarray:
 
 
 def _wider(slope: np.ndarray) -> np.ndarray:
-    """(7, rows, columns): how much wider in plan a surface of a slope gets by turn, shift and log scale."""
+    """(7, rows, columns): widening in plan of a surface with a slope by rotation, shift and log scale."""
     none = np.zeros(slope.shape[1:])
     return np.stack([-slope[1], slope[0], *[none] * 4, none + 2])
 
@@ -195,8 +195,8 @@ def _wider(slope: np.ndarray) -> np.ndarray:
 def shared_errors(patch: Patch, tuning: VolumeTuning) -> tuple[float, float]:
     """Pixels that have one error together, and the share of the stated variance that does not show as scatter.
 
-    Both by the heights about the planes through their neighbours, of which a plane takes the longer waves away, where
-    these fit: not where the surface itself bends or steps.
+    Both by the heights about the planes through their neighbours, which remove the longer waves, where these fit: not
+    where the surface itself bends or steps.
     """
     ratio = _off_planes(patch, tuning.local_px)
     if not np.isfinite(ratio).any():
@@ -215,8 +215,8 @@ def shared_errors(patch: Patch, tuning: VolumeTuning) -> tuple[float, float]:
 
 
 def _off_planes(patch: Patch, bell: int) -> np.ndarray:
-    """What heights are off the planes through their neighbours (rows, columns), in sigmas, NaN where not known or where
-    the planes do not fit; of the middle of a large patch."""
+    """Deviations of heights from the planes through their neighbours (rows, columns), in sigmas, NaN where unknown or
+    where the planes do not fit; of the middle of a large patch."""
     middle = tuple(slice(max(0, (n - _SAMPLE) // 2), max(0, (n - _SAMPLE) // 2) + _SAMPLE) for n in patch.w.shape)
     w, sigma = patch.w[middle], patch.sigma[middle]
     known = np.isfinite(w) & np.isfinite(sigma)
