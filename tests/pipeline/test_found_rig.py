@@ -161,9 +161,7 @@ def test_sigmas_are_those_of_an_axis_in_metres_with_the_scale(tmp_path: Path) ->
     assert 0.7 < length < 0.8
     assert third.sigma_m == pytest.approx(np.hypot(SCALE * 0.001, length * SCALE_SIGMA) / 3**0.5, rel=0.01)
     bare = rig_file(_run(tmp_path / "bare", _given(), poses))
-    assert (
-        "the run has no sigmas of the poses of b, c" in bare.said[-1] and _read(bare.text).sensors[1].sigma_m is None
-    )
+    assert "the run has no sigmas of the poses of b, c" in bare.said[-1] and _read(bare.text).sensors[1].sigma_m is None
 
 
 def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> None:
