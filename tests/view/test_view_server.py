@@ -105,7 +105,7 @@ def test_other_sites_are_refused(ask: Ask) -> None:
 def test_the_page_names_nothing_elsewhere(ask: Ask) -> None:
     page = ask("/")[1].decode()
     assert set(re.findall(r'(?:src|href)="([^"]+)"', page)) == {"/view.js", "/licences.txt"} and "://" not in page
-    for path in ("/view.js", "/licences.txt"):
+    for path in ("/view.js", "/laz-perf.wasm", "/licences.txt"):
         assert ask(path)[0].status == 200
 
 

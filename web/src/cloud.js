@@ -1,7 +1,6 @@
 // The cloud, streamed from its COPC file: the nodes that the view needs, the coarse ones first.
 import { Copc } from "copc";
 import { createLazPerf } from "laz-perf";
-import wasm from "laz-perf/lib/web/laz-perf.wasm";
 import * as THREE from "three";
 import { ramp } from "./colours.js";
 
@@ -64,7 +63,7 @@ export class Cloud {
       if (answer.status !== 206) throw new Error(`${this.url}: ${answer.status} ${answer.statusText}`);
       return new Uint8Array(await answer.arrayBuffer());
     };
-    this.lazPerf = await createLazPerf({ wasmBinary: wasm });
+    this.lazPerf = await createLazPerf({ locateFile: (name) => `/${name}` });
     this.copc = await Copc.create(this.get);
     const { cube, rootHierarchyPage } = this.copc.info;
     const { nodes } = await Copc.loadHierarchyPage(this.get, rootHierarchyPage);

@@ -252,6 +252,7 @@ class _ViewHandler(Handler):
         return {
             "/": lambda _: self._send(page.joinpath("page.html").read_bytes(), HTML),
             "/view.js": lambda _: self._send(page.joinpath("view.js").read_bytes(), "text/javascript"),
+            "/laz-perf.wasm": lambda _: self._send(page.joinpath("laz-perf.wasm").read_bytes(), "application/wasm"),
             "/licences.txt": lambda _: self._send(page.joinpath("licences.txt").read_bytes(), _TEXT),
             f"/{CLOUD}": lambda _: self._file(viewed.path(CLOUD)),
             "/layers.json": lambda _: self._json(viewed.layers()),
