@@ -30,6 +30,8 @@ class ViewTuning(Section):
     """Nearer to the image border or mask than this share of the image size it counts less, in proportion."""
     unconfirmed: float = Field(0.05, ge=0, le=1)
     """Weight of an image whose own depth map has no depth there, beside one that has the surface's."""
+    nearly: float = Field(0.05, ge=0, le=1)
+    """Weight of an image from which a face lies behind others by less than the size of a face: of a rough surface."""
     shade_sigmas: float = Field(3.0, gt=0)
     """What lies this many standard deviations behind what the image saw is hidden: as of the orthophoto."""
     together: float = Field(4.0, ge=0)

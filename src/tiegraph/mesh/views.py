@@ -79,17 +79,20 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     at, deep = project(camera, middle)
     pixel = deep / focal(camera)
     play = pixel * scale.max() * (1 + 2 * steep)
-    free = np.ones(len(faces), bool)
+    rough = float(np.sqrt(np.median(np.linalg.norm(mesh.across, axis=1)))) if len(mesh.corners) else 0.0
+    free, plain = np.ones(len(faces), bool), np.ones(len(faces), bool)
     for k in range(4):  # corners and middle
         place, there = (xy[corners[faces, k]], z[corners[faces, k]]) if k < 3 else (at, deep)
         column, row = (np.clip((place / scale).astype(int)[:, a], 0, size[a] - 1) for a in (0, 1))
-        free &= there <= depth[row, column] + play
+        plain &= there <= depth[row, column] + play
+        free &= there <= depth[row, column] + play + rough
     confirmed = _confirmed(own, at, deep, play, size, scale, tuning)
     away = _away(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
     free &= (away > 0) & (confirmed >= 0)
     inner = np.minimum(1.0, away / tuning.border)
     share = _share_around(at / scale, confirmed, size)
     quality = front**tuning.angle_power / pixel * inner * (tuning.unconfirmed + share)
+    quality *= np.where(plain, 1.0, tuning.nearly)
     return Seen(faces[free], quality[free].astype(np.float32))
 
 
