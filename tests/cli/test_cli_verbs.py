@@ -190,7 +190,7 @@ def test_coverage_judges_the_chosen_pairs_too(judged):
     code, said = judged(RING, RING)
     assert code == 0 and said.count("no place depends on a single link") == 2
     code, said = judged(RING, CHAIN)
-    assert code == 1 and "candidate pairs: 4 pairs hold 4 images together" in said
+    assert code == 1 and "candidate pairs: 4 pairs connect 4 images" in said
     assert "pairs that the design chose: 3 single links" in said
     assert "weak links of the pairs that the design chose" in said and "weak links of the candidate" not in said
 

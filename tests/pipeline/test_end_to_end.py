@@ -236,7 +236,7 @@ def test_another_method_on_the_same_images(project, survey, tmp_path, capsys):
     before = (out / "colmap" / "stages.json").read_bytes()
     project.baseline("colmap", 99, out)
     assert (out / "colmap" / "stages.json").read_bytes() == before
-    with refused("something else"):
+    with refused("contains other files"):
         project.baseline("colmap", 12, out)
 
 
@@ -251,7 +251,7 @@ def test_a_block_is_a_folder_of_links(project, survey, tmp_path):
         lay_out(run, 5, tmp_path / "other")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "a.txt").write_text("")
-    with refused("something else"):
+    with refused("contains other files"):
         lay_out(run, 12, tmp_path / "mine")
     with pytest.raises(SettingsError, match="unknown baseline 'colmp'"):
         project.baseline("colmp", 12)

@@ -16,6 +16,4 @@ class MeshSettings(Section):
     max_sigma_m: float | None = Field(None, gt=0)
     """Points with a larger standard deviation, in the same unit, are left out, and the surface ends there."""
     texture_px: int = Field(8192, ge=256, le=16384)
-    """Edge of a texture at most, in pixels."""
-    textures: int = Field(4, ge=1, le=64)
-    """Textures at most; images are reduced until their parts fit."""
+    """Edge of a texture at most, in pixels; images are reduced until their parts fit on four of them."""

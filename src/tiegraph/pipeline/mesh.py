@@ -149,7 +149,7 @@ class _Work:
             whole, label = whole.of_faces(kept), label[kept]
         whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
         label = label[kept]
-        layout = laid_out(whole, label, self.views, self.settings.texture_px, self.settings.textures)
+        layout = laid_out(whole, label, self.views, self.settings.texture_px, self.tuning.texture.most)
         save_npz(self.path("mesh"), **vars(whole))
         save_npz(self.path("nodes"), **nodes_of(whole, layout).to_npz())
         save_npz(self.path("layout"), **layout.to_npz())
@@ -273,8 +273,7 @@ def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
     shrunk = (layout.inner / layout.size).min(axis=1)
     if np.median(shrunk) < 0.9:
         notes.append(
-            f"half of the patches have {np.median(shrunk):.0%} of their images' resolution or less (mesh.textures, "
-            "mesh.texture_px)"
+            f"half of the patches have {np.median(shrunk):.0%} of their images' resolution or less (mesh.texture_px)"
         )
     if cut:
         notes.append(f"{cut} faces at the border of the surface were cut off, for no image sees them")
