@@ -22,7 +22,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 MOST_POINTS = 4_000_000
-"""Points that the surface is made of at most: Poisson's needs about 2 KB of memory each."""
+"""Points that the surface is made of at most, which bounds the memory."""
 _DEPTHS = (5, 13)  # levels of the octree: 13 are what COLMAP takes at most
 _AROUND = 1.1  # edge of the octree's cube, of the points'
 _NEIGHBOURS, _APART = 6, 1.4  # the sixth neighbour in a square grid lies 1.4 spacings away

@@ -1,4 +1,7 @@
-"""What the mesh decides by: each constant with its unit, its meaning and where its value comes from."""
+"""What the mesh decides by: each constant with its unit and its meaning.
+
+The values were chosen and looked at on the example survey; no benchmark has varied them yet.
+"""
 
 from pydantic import Field
 
@@ -38,7 +41,7 @@ class ViewTuning(Section):
     """How strongly neighbours want one image: a face goes along with all its neighbours unless its own best image is
     exp(4) times as good."""
     rounds: int = Field(30, ge=0)
-    """Times that neighbours are asked: patches do not change any more."""
+    """Times that neighbours are asked; chosen, not measured."""
     least_faces: int = Field(30, ge=1)
     """Smaller patches go to an image of a neighbouring one that sees them."""
 
