@@ -52,8 +52,8 @@ class TextureTuning(Section):
     most: int = Field(4, ge=1)
     """Textures at most: what viewers in a browser load without trouble."""
     smooth: float = Field(0.1, gt=0)
-    """Weight of differences within a patch beside those across its border, when colours are levelled: as Waechter,
-    Moehrle and Goesele (2014)."""
+    """Weight of differences within a patch beside those across its border, when colours are levelled: chosen by eye on
+    the example survey."""
 
 
 class Tuning(Section):
