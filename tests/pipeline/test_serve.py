@@ -52,6 +52,7 @@ def test_files_are_handed_over_and_nothing_is_overwritten(served: ServeServer) -
     assert ask(served, "PUT", "files/up/cam0/%E5%86%99%20a.jpg", b"picture") == (200, {"new": False})
     status, said = ask(served, "PUT", "files/up/cam0/%E5%86%99%20a.jpg", b"another one")
     assert status == 409 and "another file" in said["error"]
+    assert ask(served, "PUT", "files/up/cam0/%E5%86%99%20a.jpg", b"PICTURE")[0] == 409  # as long, but not the same
     assert (images / "up" / "cam0" / "写 a.jpg").read_bytes() == b"picture"
     large = bytes(3 << 20)
     assert ask(served, "PUT", "files/large.tif", large)[0] == 200 and (images / "large.tif").stat().st_size == len(

@@ -10,7 +10,7 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
-from tiegraph.pipeline.serve import describe
+from tiegraph.pipeline.scan import describe
 from tiegraph.scan.cameras import WORDS
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.gcp import FORMS

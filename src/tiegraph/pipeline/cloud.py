@@ -9,7 +9,7 @@ import numpy as np
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
-from tiegraph.pipeline.files import load_json, placement_error, world_origin
+from tiegraph.pipeline.files import CLOUD, load_json, placement_error, world_origin
 from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
@@ -34,8 +34,8 @@ def cloud(run: Run) -> Outcome:
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
     sigmas = _sigmas(run, fused.clouds())
     said = accuracy_said(run, sigmas)
-    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
-    same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
+    notes = [*write_copc(fused.clouds, run.path(CLOUD), fused.voxel, scratch, said)]
+    same_file(run.path(CLOUD), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
     agreement = write_agreement(run, scratch, fused.voxel, _mapper(run))
     if agreement is not None and agreement.why_not:

@@ -173,6 +173,8 @@ def class_shares(name: str, folder: Path) -> np.ndarray:
 
 FINAL = "refine"
 """Folder of the final masks and classes, laid out like the run folder."""
+CLOUD = "cloud.copc.laz"
+"""The fused cloud, which is read by parts."""
 
 
 def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:

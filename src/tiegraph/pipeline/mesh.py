@@ -35,7 +35,7 @@ from tiegraph.mesh.tuning import Tuning
 from tiegraph.mesh.views import UNSEEN, Seen, View, chosen, seen_by, without_bubbles
 from tiegraph.pipeline.cloud import accuracy_said
 from tiegraph.pipeline.dense import depth_path, read_depth
-from tiegraph.pipeline.files import load_as, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.pipeline.pictures import Pictures, plans_of
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -44,7 +44,6 @@ from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.copc import copc_sample
 
 FOLDER, SCRATCH = "mesh", ".work"
-CLOUD = "cloud.copc.laz"
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92]
 _READ = 3 * MOST_POINTS  # points that are read of the cloud, and then thinned
 _BYTES = 200  # of a point in the files of COLMAP's surface

@@ -23,8 +23,9 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import InputError, TiegraphError
+from tiegraph.pipeline.files import CLOUD
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking
-from tiegraph.pipeline.view import CLOUD, Viewed
+from tiegraph.pipeline.view import Viewed
 from tiegraph.watch.view import page
 
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048

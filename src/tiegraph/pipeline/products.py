@@ -8,7 +8,7 @@ import numpy as np
 from tiegraph.errors import ReconstructionError
 from tiegraph.pipeline.cloud import accuracy_said
 from tiegraph.pipeline.dense import depth_path, read_depth
-from tiegraph.pipeline.files import load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.pipeline.pictures import Pictures, plans_of
 from tiegraph.pipeline.surfaces import OnSurface, Step
 from tiegraph.pipeline.terrain import TerrainWork, wanted
@@ -37,7 +37,6 @@ from tiegraph.text import csv_text
 
 T = TypeVar("T")
 
-CLOUD = "cloud.copc.laz"
 TILE = 1024
 """Pixels along the edge of a tile."""
 _MOST_SOURCES = np.iinfo(np.uint16).max

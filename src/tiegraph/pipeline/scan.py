@@ -49,6 +49,7 @@ from tiegraph.scene.hanging import carrying
 from tiegraph.scene.images import find_images, has_images, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
+from tiegraph.scene.scene import Scene
 from tiegraph.text import acts, composed
 
 
@@ -374,3 +375,23 @@ def _apart(job: _Job, taken: Pictures) -> str:
         f"{job.video.name}: its pictures lie {1e3 * np.median(off):.1f} ms from the instants of the first camera's, at "
         f"most {1e3 * np.max(off):.1f} ms{more}"
     )
+
+
+def describe(scene: Scene) -> list[str]:
+    """What a scan found, in lines for people."""
+    lines = [
+        f"{len(scene)} images in {scene.frames} frames; passes: "
+        f"{', '.join(scene.sequences) or 'none (loose photographs)'}"
+    ]
+    for rig in scene.rigs:
+        for sensor in rig.sensors:
+            camera = sensor.camera
+            seen = (
+                f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px"
+                if camera
+                else "no image"
+            )
+            lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
+    lines += [f"  . {note}" for note in scene.notes]
+    lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]
+    return lines

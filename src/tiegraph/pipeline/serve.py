@@ -17,7 +17,8 @@ import numpy as np
 
 from tiegraph.errors import InputError, SettingsError, TiegraphError
 from tiegraph.pipeline import STAGES
-from tiegraph.pipeline.products import CLOUD
+from tiegraph.pipeline.files import CLOUD
+from tiegraph.pipeline.scan import describe
 from tiegraph.pipeline.view import Viewed, open_view
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.inputs import Inputs
@@ -67,8 +68,7 @@ class Session:
         for one that the disk has no room for."""
         target = inside(self.images, name)
         if target.exists():
-            if target.is_file() and target.stat().st_size == length:
-                _skip(source, length)
+            if target.is_file() and target.stat().st_size == length and _same(source, length, target):
                 return False
             raise InputError(f"{name}: another file of this name is there already; it is kept. Rename yours")
         if length > shutil.disk_usage(self.images).free - _ROOM:
@@ -197,26 +197,6 @@ _TABLES = (
 )  # fmt: skip
 
 
-def describe(scene: Scene) -> list[str]:
-    """What a scan found, in lines for people."""
-    lines = [
-        f"{len(scene)} images in {scene.frames} frames; passes: "
-        f"{', '.join(scene.sequences) or 'none (loose photographs)'}"
-    ]
-    for rig in scene.rigs:
-        for sensor in rig.sensors:
-            camera = sensor.camera
-            seen = (
-                f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px"
-                if camera
-                else "no image"
-            )
-            lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
-    lines += [f"  . {note}" for note in scene.notes]
-    lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]
-    return lines
-
-
 def _told(event: dict[str, Any]) -> dict[str, Any]:
     """What the page needs of the last event of a stage."""
     kind = {"started": "runs", "finished": "done", "skipped": "up to date", "lost": "nothing came of it"}
@@ -248,5 +228,9 @@ def _copy(source: Readable, length: int, write: Callable[[bytes], Any]) -> int:
     return done
 
 
-def _skip(source: Readable, length: int) -> None:
-    _copy(source, length, len)
+def _same(source: Readable, length: int, path: Path) -> bool:
+    """Whether so many bytes are those of a file."""
+    differing: list[bytes] = []
+    with open(path, "rb") as own:
+        done = _copy(source, length, lambda part: own.read(len(part)) == part or differing.append(b""))
+    return done == length and not differing

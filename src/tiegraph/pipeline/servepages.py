@@ -1,7 +1,8 @@
 """The page of ``tiegraph serve``, on the loopback, below an address that nobody can guess.
 
-Whoever does not know the token in the address learns nothing, other users of the machine and other sites in the browser
-included; what changes something must also come from this very origin (``pages``).
+Whoever does not know the token in the address learns nothing here, other users of the machine and other sites in the
+browser included; what changes something must also come from this very origin (``pages``). The cloud, once it is opened,
+is the page of ``tiegraph view``, which other users of the machine could open too.
 """
 
 import json

@@ -16,6 +16,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.files import (
+    CLOUD,
     checked,
     load_json,
     load_model,
@@ -27,7 +28,6 @@ from tiegraph.pipeline.files import (
     world_unit,
 )
 from tiegraph.pipeline.georef import stated
-from tiegraph.pipeline.products import CLOUD
 from tiegraph.pipeline.surfaces import FOLDER
 from tiegraph.products.raster import hillshade
 from tiegraph.products.surface import MAP, NODATA
