@@ -1,7 +1,5 @@
 """What a depth map is planned with: its partners and depths by the sparse model, images without their distortion."""
 
-import time
-
 import cv2
 import numpy as np
 import pycolmap
@@ -109,11 +107,10 @@ def test_no_partner_at_all_is_an_error_with_a_remedy():
 
 
 @pytest.mark.slow
-def test_many_images_take_seconds_not_minutes():
-    big = model([(0.02 * k, 0, 0) for k in range(300)], count=600)
-    start = time.process_time()
-    plan = plan_images(big, SETTINGS, TUNING.partners)
-    assert len(plan.images) == 300 and time.process_time() - start < 10
+def test_each_of_many_images_that_see_the_same_has_a_bounded_plan():
+    plan = plan_images(model([(0.02 * k, 0, 0) for k in range(300)], count=600), SETTINGS, TUNING.partners)
+    assert len(plan.images) == 300 and not plan.dropped
+    assert {len(p.partners) for p in plan.images.values()} == {SETTINGS.partners}
 
 
 SIZE = (320, 240)

@@ -2,7 +2,6 @@
 
 import logging
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -112,14 +111,6 @@ def test_large_images_give_the_mask_of_small_ones_at_full_size(tmp_path):
     large_masks = all_masks("meguro2025", [write(tmp_path / f"l{k}.png", s) for k, s in enumerate(large)])
     for s, m in zip(small_masks, large_masks):
         assert m.shape == (1920, 2560) and (m[2::4, 2::4] == s).mean() > 0.95
-
-
-def test_paper_001_masks_in_a_fraction_of_a_second_an_image(tmp_path):
-    # The paper takes 0.18 s an image on one desktop core; measured here 0.004-0.01 s.
-    images = [write(tmp_path / f"{k}.jpg", cv2.resize(frame(k), (640, 480))) for k in range(5)]
-    began = time.process_time()
-    all_masks("meguro2025", images)
-    assert (time.process_time() - began) / 5 < 0.18
 
 
 @pytest.mark.slow
