@@ -22,7 +22,7 @@ from tiegraph.sfm.placement import (
     PlacementCheck,
     explained,
     leave_out_doubtful,
-    part_moves,
+    part_places,
     placed_anew,
     rivals,
     rivals_told,
@@ -148,7 +148,9 @@ def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames
     _shift(model, frames, (0.5, 0, 15), scale)
     off = _centres(model, scene)
     found = _explained(model, scene, tmp_path)
-    moves, steps = part_moves(found, TUNING), steps_of_parts(found, TUNING)
+    places = part_places(found, TUNING)
+    assert all(p.wins and p.positions == 0 and p.here < 0.2 * p.there for p in places)
+    moves, steps = {f: p.move for p in places for f in p.frames}, steps_of_parts(found, places)
     assert (
         all(np.allclose(off[f] + steps[f], moves[f](off[f]), atol=1e-9) for f in moves) and steps.keys() == moves.keys()
     )
@@ -159,6 +161,33 @@ def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames
     assert sorted(poses) == [f + 1 for f in sorted(moves)] and out == []
     placed = np.array([transforms.centre(matrix(poses[f + 1])) for f in sorted(moves)])
     assert np.allclose(placed, now[sorted(moves)], atol=1e-9)
+
+
+@pytest.mark.parametrize("right", ["here", "there", "nowhere"])
+def test_measured_positions_decide_between_two_places_of_a_part(world, tmp_path: Path, right: str) -> None:
+    """Whatever the matches say; where positions do not reach the part, or are too poor, the matches decide."""
+    model, scene = world
+    true = _centres(model, scene)
+    _shift(model, range(9, 14), (0.5, 0, 15))
+    now = _centres(model, scene)
+    position = now if right == "here" else true
+    sigma_m = 30.0 if right == "nowhere" else 0.02
+    noise = np.random.default_rng(1).normal(0, min(sigma_m, 0.02), position.shape)
+    pose = np.tile(np.eye(4), (scene.frames, 1, 1))
+    pose[:, :3, 3] = position + noise
+    scene = scene.with_(world_from_rig=pose, position_sigma_m=np.full((scene.frames, 3), sigma_m), prior="gnss")
+    found = _explained(model, scene, tmp_path)
+    (place,) = part_places(found, TUNING)
+    assert set(place.frames) == set(range(9, 14))
+    assert place.positions == {"here": -1, "there": 1, "nowhere": 0}[right] and place.wins == (right != "here")
+    moved, out = placed_anew(model, scene, found.verified, TUNING)
+    assert len(moved) == (0 if right == "here" else 5) and out == []
+    assert (steps_of_parts(found, [place]) == {}) == (right == "here")
+    check = _test(model, scene, tmp_path)
+    assert check.dropped == [] and len(check.notes) == 1
+    assert ("5 frames support a second place too; the measured positions confirm" in check.notes[0]) == (
+        right == "here"
+    )
 
 
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:

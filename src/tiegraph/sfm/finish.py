@@ -29,10 +29,12 @@ from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
 from tiegraph.sfm.placement import (
     PlacementCheck,
+    confirmed_places,
     explained,
     frame_ids,
     leave_out_doubtful,
     named,
+    part_places,
     rivals,
     rivals_told,
     steps_of_parts,
@@ -222,17 +224,18 @@ def _matches(
         return FinishResult(), {}
     try:
         found = explained(model, scene, request.matched.read(scene), request.tuning.placement)
-        other, parts = rivals(found), steps_of_parts(found, request.tuning.placement)
+        other, places = rivals(found), part_places(found, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
     tables, said = {"matches that the model explains: frames with the fewest": found.table()}, rivals_told(other, scene)
+    parts, (confirmed, sure) = steps_of_parts(found, places), confirmed_places(places, scene)
     if parts:
         away = float(np.median([np.linalg.norm(step) for step in parts.values()]))
         said.append(
             f"{len(parts)} frames are together {away:.3g} model units away from the place that their matches with "
             f"other frames give; their sigmas cover both places ({named(parts.keys(), scene)})"
         )
-    if lost := found.doubts.keys() - other.keys() - parts.keys():
+    if lost := found.doubts.keys() - other.keys() - parts.keys() - sure:
         said.append(
             f"most matches of {len(lost)} frames contradict their final place: their errors may be larger than "
             f"stated ({named(lost, scene)})"
@@ -244,7 +247,7 @@ def _matches(
     there = {f: r.step for f, r in other.items()} | parts
     steps = {k: step for f, step in there.items() for k in frame_ids(model, scene, f)}
     counts = {"matches_explained_percent": round(found.percent(), 1)}
-    return FinishResult(tables=tables, contradictions=said, counts=counts), steps
+    return FinishResult(confirmed, tables=tables, contradictions=said, counts=counts), steps
 
 
 def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishResult:

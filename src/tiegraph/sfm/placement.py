@@ -23,7 +23,7 @@ the sigma of the frame must cover them.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -31,26 +31,30 @@ import pycolmap
 from scipy.sparse import coo_array, csr_array, triu
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.align import Similarity, robust_umeyama
 from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.weakties import strongest_first
-from tiegraph.sfm.ties import find_ties, fit_ties, tested, together
+from tiegraph.sfm.ties import find_ties, fits, tested, together
 from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
 from tiegraph.sfm.verified import (
     ImageObservations,
     VerifiedMatches,
     agreement,
     image_observations,
+    pose_after,
     read_verified,
     sightings,
+    together_seen,
 )
 from tiegraph.text import some
 
 _NAMED = 4  # frames named in a remark; the table has all
 _LEAST = 5  # frames in a table
 _NAMED_RIVALS = 3  # frames named in a sentence
+_LEAST_M = 0.01  # sigma of a measured position, at least
 
 
 @dataclass(frozen=True)
@@ -198,10 +202,11 @@ def leave_out_doubtful(
     If more than ``tuning.max_left_out`` of the frames are in doubt, the model fell apart: none is removed, and a
     remark says so.
     """
-    why = explained(model, scene, source.read(scene), tuning).doubts
+    found = explained(model, scene, source.read(scene), tuning)
+    notes, confirmed = confirmed_places(part_places(found, tuning), scene)
+    why = {f: reason for f, reason in found.doubts.items() if f not in confirmed}
     if not why:
-        return PlacementCheck()
-    notes: list[str] = []
+        return PlacementCheck(notes)
     if len(why) > tuning.max_left_out * scene.frames:
         notes.append(
             f"{len(why)} of {scene.frames} frames are at doubtful places; because they are so many, none is left out "
@@ -286,6 +291,24 @@ def _rival(found: Explained, frame: int) -> Rival | None:
     return Rival(step, int(told.there.sum()), int(made["num_inliers"]))
 
 
+@dataclass(frozen=True)
+class PartPlace:
+    """Another place of ``frames`` that are in doubt together: the similarity to it (``move``), the matches with the
+    rest that agree with the present place (``here``) and with the other one (``there``), and for which of them the
+    measured positions speak: 1 the other one, -1 the present one, 0 neither."""
+
+    frames: tuple[int, ...]
+    move: Similarity
+    here: float
+    there: float
+    positions: int
+
+    @property
+    def wins(self) -> bool:
+        """Whether the frames belong there."""
+        return self.positions > 0 or (self.positions == 0 and self.there > self.here)
+
+
 def placed_anew(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
 ) -> tuple[dict[int, pycolmap.Rigid3d], list[int]]:
@@ -293,56 +316,101 @@ def placed_anew(
     place is found. None is removed if these are the larger half (a wrong rig), because the rest would be no
     reference."""
     found = explained(model, scene, verified, tuning)
-    moves = part_moves(found, tuning)
+    places = part_places(found, tuning)
     poses = {
-        k: _moved(pose, move)
-        for f, move in moves.items()
+        k: _moved(pose, place.move)
+        for place in places
+        if place.wins
+        for f in place.frames
         for k in frame_ids(model, scene, f)
         if (pose := model.frame(k).rig_from_world) is not None
     }
-    left = found.doubts.keys() - moves.keys()
+    left = found.doubts.keys() - {f for place in places if place.wins or place.positions for f in place.frames}
     few = 2 * len(left) <= len({int(scene.frame[k]) for k in found.seen.cameras})
     return poses, [k for f in sorted(left) for k in frame_ids(model, scene, f)] if few else []
 
 
-def part_moves(found: Explained, tuning: PlacementTuning) -> dict[int, Similarity]:
-    """By frame (scene index) of parts in doubt, the similarity that agrees with their matches to the rest; the part
-    with the most matches first, then others onto it."""
+def part_places(found: Explained, tuning: PlacementTuning) -> list[PartPlace]:
+    """Of the parts in doubt those with another place that their matches to the rest support: the part with the most
+    matches first, then others onto it. Of several places the one that measured positions confirm, else the one with
+    most matches."""
     placed = {int(found.scene.frame[k]) for k in found.seen.cameras}
     parts = [tuple(placed - found.doubts.keys()), *(part for part in found.parts if len(part) > 1)]
-    seen, move = [_alone(found.seen, part) for part in parts], {0: Similarity()}
+    seen, done, out = [found.seen.alone(part) for part in parts], {0: Similarity()}, []
     while True:
-        fits = {}
-        for k in set(range(len(parts))) - move.keys():
-            ties = together([find_ties(seen[n], seen[k], found.verified, tuning).moved(s) for n, s in move.items()])
-            fit = fit_ties(ties, tuning)
-            if fit is not None and tested(ties, fit, tuning).holds(tuning):
-                fits[k] = fit
-        if not fits:
-            return {f: s for k, s in move.items() if k for f in parts[k]}
-        best = max(fits, key=lambda k: int(fits[k].agree.sum()))
-        move[best] = fits[best].first_from_second
+        best: dict[int, PartPlace] = {}
+        for k in set(range(len(parts))) - done.keys():
+            ties = together([find_ties(seen[n], seen[k], found.verified, tuning).moved(s) for n, s in done.items()])
+            rest = together_seen([seen[n].moved(s) for n, s in done.items()])
+            places = [
+                _place(found, parts[k], rest, seen[k], fit.first_from_second)
+                for fit in fits(ties, tuning)
+                if tested(ties, fit, tuning).holds(tuning)
+            ]
+            if places:
+                best[k] = max(places, key=lambda one: (one.positions > 0, one.positions < 0, one.there))
+        if not best:
+            return out
+        first = max(best, key=lambda k: best[k].there)
+        done[first] = best[first].move if best[first].wins else Similarity()
+        out.append(best[first])
 
 
-def steps_of_parts(found: Explained, tuning: PlacementTuning) -> dict[int, np.ndarray]:
-    """By frame (scene index) of parts in doubt, the offset (3,) to the place their matches give, model units."""
-    order = sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k]))  # the reference is last and decides
-    first = {int(found.scene.frame[k]): transforms.centre(found.seen.cam_from_world[k]) for k in order}
-    return {f: move(first[f][None])[0] - first[f] for f, move in part_moves(found, tuning).items()}
+def steps_of_parts(found: Explained, places: Iterable[PartPlace]) -> dict[int, np.ndarray]:
+    """By frame (scene index) of parts with another place that is not clearly worse, the offset (3,) to it, model
+    units."""
+    centre, least = _centres(found), found.tuning.agrees
+    open_ = [p for p in places if p.positions > 0 or (not p.positions and p.there > least * p.here)]
+    return {f: place.move(centre[f][None])[0] - centre[f] for place in open_ for f in place.frames}
 
 
-def _alone(seen: ImageObservations, frames: tuple[int, ...]) -> ImageObservations:
-    """The images of some frames, with the points that no other frames see."""
-    inside = set(frames)
-    own = {k for k in seen.cameras if seen.frame[k] in inside}
-    shared = np.zeros(len(seen.xyz) + 1, bool)  # the last: no point
-    for k in seen.cameras.keys() - own:
-        shared[seen.point[k]] = True
-    shared[-1] = True
-    point = {k: np.where(shared[seen.point[k]], -1, seen.point[k]) for k in own}
-    return replace(seen, point=point, cam_from_world={k: seen.cam_from_world[k] for k in own})
+def confirmed_places(places: Iterable[PartPlace], scene: Scene) -> tuple[list[str], set[int]]:
+    """Frames (scene indices) that matches support another place for, but measured positions confirm; a remark."""
+    sure = {f for place in places if place.positions < 0 for f in place.frames}
+    said = (
+        f"the matches of {len(sure)} frames support a second place too; the measured positions confirm the one they "
+        f"have ({named(sure, scene)})"
+    )
+    return [said] if sure else [], sure
+
+
+def _place(
+    found: Explained, frames: tuple[int, ...], rest: ImageObservations, part: ImageObservations, move: Similarity
+) -> PartPlace:
+    inside = np.isin(found.scene.frame[found.verified.pairs], frames)
+    between = found.verified.where(inside[:, 0] != inside[:, 1])
+    here, there = (
+        float(agreement(between, together_seen([rest, part.moved(place)]))[:, :2].sum() / 2)
+        for place in (Similarity(), move)
+    )
+    return PartPlace(frames, move, here, there, _by_positions(found, frames, move))
+
+
+def _by_positions(found: Explained, frames: Collection[int], move: Similarity) -> int:
+    """Whether the measured positions of a part fit clearly better to another place than to the present one (1), the
+    other way round (-1), or do not decide (0): by the median error in sigmas, with the whole fitted to them."""
+    scene, centre = found.scene.measured(), _centres(found)
+    position, sigma = scene.world_from_rig[:, :3, 3], np.nanmax(scene.position_sigma_m, axis=1, initial=_LEAST_M)
+    known = np.isfinite(centre[:, 0]) & np.isfinite(position[:, 0])
+    part = np.isin(np.arange(len(known)), list(frames))[known]
+    if min(part.sum(), (~part).sum()) < found.tuning.least_positions:
+        return 0
+    off = []
+    for place in (Similarity(), move):
+        there = np.where(part[:, None], place(centre[known]), centre[known])
+        fit = robust_umeyama(there, position[known], sigma[known])[0]
+        off.append(float(np.median((np.linalg.norm(fit(there) - position[known], axis=1) / sigma[known])[part])))
+    here, other = (max(z, 1.0) for z in off)
+    return int(here > LIMIT * other) - int(other > LIMIT * here)
+
+
+def _centres(found: Explained) -> np.ndarray:
+    """(F, 3) position of each frame, of its first camera; NaN = none."""
+    out = np.full((found.scene.frames, 3), np.nan)
+    for k in sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k])):
+        out[found.scene.frame[k]] = transforms.centre(found.seen.cam_from_world[k])
+    return out
 
 
 def _moved(rig_from_world: pycolmap.Rigid3d, move: Similarity) -> pycolmap.Rigid3d:
-    pose = transforms.invert(matrix(rig_from_world))
-    return rigid3d(transforms.invert(transforms.rigid(move.rotation @ pose[:3, :3], move(pose[None, :3, 3])[0])))
+    return rigid3d(pose_after(matrix(rig_from_world), move))

@@ -29,11 +29,6 @@ from tiegraph.sfm.start import Start, largest_component, place_frames, start_fro
 from tiegraph.sfm.tuning import FewPointsTuning, Tuning
 from tiegraph.sfm.verified import VerifiedMatches, image_observations, rays_meet, read_verified
 
-# Unknowns beside poses and points: none at first, because lens and rig would absorb the errors of the poses; then
-# both; then principal points too, because the final adjustment alone does not find them: with principal points held
-# in all rounds canal's frames are 12 mm off after it, otherwise they are as good as the mapper's.
-STEPS = ("poses", "lens", "centre")
-
 Options = pycolmap.IncrementalPipelineOptions
 Anew = Callable[[pycolmap.Reconstruction], tuple[Mapping[int, pycolmap.Rigid3d], Collection[int]]]
 """For the frames of a model whose verified matches contradict their place, by COLMAP's ids: new poses of those that
@@ -121,7 +116,9 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
     if ordered and not request.method.rough and request.tuning.adjust.iterations:
         verified = read_verified(seen.database, scene, seen.refused)
-        place_anew(ordered[0], working, _options(request, False), request.tuning, _anew(request, scene, verified))
+        place_anew(
+            ordered[0], working, lambda free: _options(request, free), request.tuning, _anew(request, scene, verified)
+        )
     folders = []
     for number, model in enumerate(m for m in ordered if m.num_reg_images() >= 2):
         folder = request.folder / str(number)
@@ -254,6 +251,10 @@ def model_from(
     ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose, and
     doubtful frames (``anew``), are placed by their matches after an adjustment. ``send`` receives the number of
     placed images.
+
+    Unknowns beside poses and points: none at first, because lens and rig would absorb the errors of the poses; then
+    both; then principal points too, because the final adjustment alone does not find them: with principal points held
+    in all rounds canal's frames are 12 mm off after it, otherwise they are as good as the mapper's.
     """
     cache = read_cache(database, options(False).min_num_matches)
     model = pycolmap.Reconstruction()
@@ -263,16 +264,14 @@ def model_from(
     mapper = pycolmap.IncrementalMapper(cache)
     mapper.begin_reconstruction(model)
     _triangulate(mapper, options(False))
-    for stage in STEPS:
+    for stage in ("poses", "lens"):
         _thin(mapper, tuning.adjust.few_points)
-        _round(mapper, options(stage != "poses"), tuning, stage == "centre")
-        moved, out = anew(model) if stage != "centre" else ({}, ())
+        _round(mapper, options(stage != "poses"), tuning)
+        moved, out = anew(model)
         if stage == "poses" or moved or out:
-            _place(mapper, moved, out)
-            _triangulate(mapper, options(False))
-            _register(mapper, options(False), tuning.start.staged.register_rounds)
+            _place(mapper, moved, out, options(False), tuning)
             send(model.num_reg_frames())
-    _triangulate(mapper, options(True))
+    _settle(mapper, options, tuning, anew)
     mapper.filter_points(options(True).get_mapper())
     mapper.filter_frames(options(True).get_mapper())
     mapper.end_reconstruction(False)
@@ -280,7 +279,22 @@ def model_from(
     return model
 
 
-def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning, centre: bool) -> None:
+def _settle(mapper: pycolmap.IncrementalMapper, options: Callable[[bool], Options], tuning: Tuning, anew: Anew) -> None:
+    """Adjust everything and triangulate all points; once more if frames are at doubtful places even then.
+
+    Principal points 8 px off are 26 mrad for a wide lens: before they are right, matches hardly tell places apart.
+    """
+    for last in (False, True):
+        _thin(mapper, tuning.adjust.few_points)
+        _round(mapper, options(True), tuning, centre=True)
+        _triangulate(mapper, options(True))
+        moved, out = ({}, ()) if last else anew(mapper.reconstruction)
+        if not moved and not out:
+            return
+        _place(mapper, moved, out, options(False), tuning)
+
+
+def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning, centre: bool = False) -> None:
     held = options.get_mapper()
     adjustment = options.get_global_bundle_adjustment()
     adjustment.print_summary = False
@@ -314,26 +328,35 @@ def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
         mapper.observation_manager.delete_point3D(point_id)
 
 
-def place_anew(model: pycolmap.Reconstruction, database: Path, options: Options, tuning: Tuning, anew: Anew) -> None:
+def place_anew(
+    model: pycolmap.Reconstruction, database: Path, options: Callable[[bool], Options], tuning: Tuning, anew: Anew
+) -> None:
     """Place the doubtful frames of a mapper's model by their matches, and those without a place."""
     moved, out = anew(model)
     if not moved and not out:
         return
-    mapper = pycolmap.IncrementalMapper(read_cache(database, options.min_num_matches))
+    mapper = pycolmap.IncrementalMapper(read_cache(database, options(False).min_num_matches))
     mapper.begin_reconstruction(model)
-    _place(mapper, moved, out)
-    if moved:
-        _triangulate(mapper, options)
-    _register(mapper, options, tuning.start.staged.register_rounds)
+    _place(mapper, moved, out, options(False), tuning)
+    _settle(mapper, options, tuning, anew)
     mapper.end_reconstruction(False)
     model.update_point_3d_errors()
 
 
-def _place(mapper: pycolmap.IncrementalMapper, moved: Mapping[int, pycolmap.Rigid3d], out: Collection[int]) -> None:
+def _place(
+    mapper: pycolmap.IncrementalMapper,
+    moved: Mapping[int, pycolmap.Rigid3d],
+    out: Collection[int],
+    options: Options,
+    tuning: Tuning,
+) -> None:
+    """Move frames, and place those without a place by their matches."""
     for frame_id, pose in moved.items():
         mapper.reconstruction.frame(frame_id).rig_from_world = pose
     for frame_id in out:
         mapper.observation_manager.deregister_frame(frame_id)
+    _triangulate(mapper, options)
+    _register(mapper, options, tuning.start.staged.register_rounds)
 
 
 def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:

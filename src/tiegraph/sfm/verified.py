@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.rays import cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix, registered_images
@@ -75,6 +76,49 @@ class ImageObservations:
         at = np.searchsorted(self.seen, key)
         out[open_] = self.seen[np.minimum(at, len(self.seen) - 1)] != key
         return np.asarray(out)
+
+    def alone(self, frames: Collection[int]) -> ImageObservations:
+        """The images of some frames, with the points that no other frames see."""
+        inside = set(frames)
+        own = {k for k in self.cameras if self.frame[k] in inside}
+        shared = np.zeros(len(self.xyz) + 1, bool)  # the last: no point
+        for k in self.cameras.keys() - own:
+            shared[self.point[k]] = True
+        shared[-1] = True
+        return replace(
+            self,
+            cameras={k: self.cameras[k] for k in own},
+            cam_from_world={k: self.cam_from_world[k] for k in own},
+            point={k: np.where(shared[self.point[k]], -1, self.point[k]) for k in own},
+            reach={k: r for k, r in self.reach.items() if k in own},
+        )
+
+    def moved(self, move: Similarity) -> ImageObservations:
+        """The same at another place."""
+        poses = {k: pose_after(pose, move) for k, pose in self.cam_from_world.items()}
+        reach = {k: move.scale * r for k, r in self.reach.items()}
+        return replace(self, cam_from_world=poses, xyz=move(self.xyz), reach=reach)
+
+
+def pose_after(cam_from_world: np.ndarray, move: Similarity) -> np.ndarray:
+    """A pose (4, 4) after its camera was moved with what it sees."""
+    pose = transforms.invert(cam_from_world)
+    return transforms.invert(transforms.rigid(move.rotation @ pose[:3, :3], move(pose[None, :3, 3])[0]))
+
+
+def together_seen(parts: Sequence[ImageObservations]) -> ImageObservations:
+    """Parts of one scene that share no image and no point."""
+    start = np.cumsum([0, *(len(p.xyz) for p in parts)])
+    return replace(
+        parts[0],
+        cameras={k: c for p in parts for k, c in p.cameras.items()},
+        cam_from_world={k: pose for p in parts for k, pose in p.cam_from_world.items()},
+        point={k: np.where(v >= 0, v + n, -1) for n, p in zip(start, parts) for k, v in p.point.items()},
+        reach={k: r for p in parts for k, r in p.reach.items()},
+        xyz=np.concatenate([p.xyz for p in parts]),
+        frames=np.concatenate([p.frames for p in parts]),
+        seen=np.concatenate([p.seen + n * len(p.frame) for n, p in zip(start, parts)]),
+    )
 
 
 def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> ImageObservations:

@@ -32,6 +32,8 @@ class ConsistencyTuning(Section):
     loses: float = Field(1.5, ge=1)
     """Ratio of contradicting to agreeing matches. On displaced sections 1 to 1.5 find the same, 2 and 3 fewer; at 1
     seven frames of a nuScenes drive were in doubt by 55 to 54."""
+    least_positions: int = Field(3, gt=0)
+    """Measured positions of a part, and of the rest, that decide between two places."""
 
 
 class TieTuning(Section):
@@ -50,6 +52,10 @@ class TieTuning(Section):
     """Trials of the RANSAC; 0: models are never joined by matches."""
     most: int = Field(2000, gt=0)
     """Matches used for a fit: more add time, not information."""
+    proposals: int = Field(50, ge=0)
+    """Pairs of images that each propose a similarity."""
+    fits: int = Field(3, gt=0)
+    """Similarities with different agreeing ties that are refined."""
     rounds: int = Field(3, gt=0)
     """Rounds of fitting and selecting the matches that agree."""
 
