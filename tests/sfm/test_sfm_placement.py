@@ -20,6 +20,7 @@ from tiegraph.sfm.placement import (
     Explained,
     MatchSource,
     PlacementCheck,
+    confirmed_places,
     explained,
     leave_out_doubtful,
     part_places,
@@ -57,7 +58,9 @@ def _suspects(scene: Scene, *tables: dict) -> dict[tuple[int, ...], str]:
         for (a, b), matches in table.items():
             dense[a, b] = dense[b, a] = matches
         both.append(csr_array(dense))
-    return suspect_frames(range(scene.frames), ConsistencyVotes(*both), TUNING.consistency)
+    return suspect_frames(
+        range(scene.frames), ConsistencyVotes(*both), TUNING.consistency.min_votes, TUNING.consistency.loses
+    )
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -183,11 +186,9 @@ def test_measured_positions_decide_between_two_places_of_a_part(world, tmp_path:
     moved, out = placed_anew(model, scene, found.verified, TUNING)
     assert len(moved) == (0 if right == "here" else 5) and out == []
     assert (steps_of_parts(found, [place]) == {}) == (right == "here")
-    check = _test(model, scene, tmp_path)
-    assert check.dropped == [] and len(check.notes) == 1
-    assert ("5 frames support a second place too; the measured positions confirm" in check.notes[0]) == (
-        right == "here"
-    )
+    check, (said, sure) = _test(model, scene, tmp_path), confirmed_places([place], scene)
+    assert check.dropped == [] and len(check.notes) == (right != "here") and len(said) == (right == "here")
+    assert sure == (set(range(9, 14)) if right == "here" else set())
 
 
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:

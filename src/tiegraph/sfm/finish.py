@@ -224,7 +224,7 @@ def _matches(
         return FinishResult(), {}
     try:
         found = explained(model, scene, request.matched.read(scene), request.tuning.placement)
-        other, places = rivals(found), part_places(found, request.tuning.placement)
+        other, places = rivals(found), part_places(found.in_doubt(found.tuning.agrees), request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
     tables, said = {"matches that the model explains: frames with the fewest": found.table()}, rivals_told(other, scene)
@@ -232,8 +232,8 @@ def _matches(
     if parts:
         away = float(np.median([np.linalg.norm(step) for step in parts.values()]))
         said.append(
-            f"{len(parts)} frames are together {away:.3g} model units away from the place that their matches with "
-            f"other frames give; their sigmas cover both places ({named(parts.keys(), scene)})"
+            f"the matches of {len(parts)} frames together support a second place too, {away:.3g} model units away; "
+            f"their sigmas cover both places ({named(parts.keys(), scene)})"
         )
     if lost := found.doubts.keys() - other.keys() - parts.keys() - sure:
         said.append(

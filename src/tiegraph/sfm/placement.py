@@ -23,7 +23,7 @@ the sigma of the frame must cover them.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -79,20 +79,20 @@ def consistency_votes(verified: VerifiedMatches, agreed: np.ndarray, scene: Scen
 
 
 def contradiction(
-    frames: Collection[int], believed: np.ndarray, votes: ConsistencyVotes, tuning: ConsistencyTuning
+    frames: Collection[int], believed: np.ndarray, votes: ConsistencyVotes, least: float, ratio: float
 ) -> tuple[float, str]:
     """The excess of contradicting over agreeing matches between frames and trusted others (F,) bool, and the reason
-    why that speaks against their place; "" if it does not, or not clearly."""
+    why that speaks against their place; "" if they are fewer than ``least`` or ``ratio`` times the agreeing ones."""
     others, own = believed.astype(float), list(frames)
     others[own] = 0
     agree, against = (float((table[own] @ others).sum()) for table in (votes.agree, votes.against))
-    doubtful = against >= tuning.min_votes and against > tuning.loses * agree
+    doubtful = against >= least and against > ratio * agree
     why = f"most of its matches contradict its place in the model ({against:.0f} to {agree:.0f})" if doubtful else ""
     return against - agree, why
 
 
 def suspect_frames(
-    placed: Collection[int], votes: ConsistencyVotes, tuning: ConsistencyTuning
+    placed: Collection[int], votes: ConsistencyVotes, least: float, ratio: float
 ) -> dict[tuple[int, ...], str]:
     """Placed frames whose matches contradict their place, with the reason: singly, or together with the frames they
     are tied to most. Frames with the most contradictions come first, because a pass at a wrong place makes every
@@ -102,12 +102,12 @@ def suspect_frames(
     half = max(1, len(placed) // 2)
     out: dict[tuple[int, ...], str] = {}
     asked = [[frame] for frame in sorted(placed)] + list(_groups(votes, believed, half))
-    told = [(*contradiction(frames, believed, votes, tuning), frames) for frames in asked]
+    told = [(*contradiction(frames, believed, votes, least, ratio), frames) for frames in asked]
     for _, why, frames in sorted(told, key=lambda one: -one[0]):
         own = [f for f in frames if believed[f]]
         if not why or not 0 < len(own) <= max(1, int(believed.sum()) // 2):
             continue
-        if why := contradiction(own, believed, votes, tuning)[1]:
+        if why := contradiction(own, believed, votes, least, ratio)[1]:
             together = f", tested together with the {len(own) - 1} frames it is tied to most" if len(own) > 1 else ""
             out[tuple(own)] = why + together
             believed[own] = False
@@ -154,6 +154,11 @@ class Explained:
         """Reasons by frame."""
         return {f: why for frames, why in self.parts.items() for f in frames}
 
+    def in_doubt(self, ratio: float) -> "Explained":
+        """With the parts that so many times as many matches contradict as agree with."""
+        placed = {int(self.scene.frame[k]) for k in self.seen.cameras}
+        return replace(self, parts=suspect_frames(placed, self.votes, self.tuning.min_votes, ratio))
+
     def percent(self) -> float:
         """Percentage of the matches with a verdict that the model explains."""
         return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
@@ -179,10 +184,8 @@ def explained(
     seen = image_observations(model, scene, tuning.agreement)
     agreed = agreement(verified, seen)
     votes = consistency_votes(verified, agreed, scene)
-    parts = suspect_frames({int(scene.frame[k]) for k in seen.cameras}, votes, tuning.consistency)
-    return Explained(
-        scene=scene, verified=verified, seen=seen, agreed=agreed, votes=votes, parts=parts, tuning=tuning.consistency
-    )
+    found = Explained(scene, verified, seen, agreed, votes, {}, tuning.consistency)
+    return found.in_doubt(tuning.consistency.loses)
 
 
 @dataclass(frozen=True)
@@ -203,10 +206,11 @@ def leave_out_doubtful(
     remark says so.
     """
     found = explained(model, scene, source.read(scene), tuning)
-    notes, confirmed = confirmed_places(part_places(found, tuning), scene)
+    confirmed = confirmed_places(part_places(found, tuning), scene)[1]
     why = {f: reason for f, reason in found.doubts.items() if f not in confirmed}
     if not why:
-        return PlacementCheck(notes)
+        return PlacementCheck()
+    notes: list[str] = []
     if len(why) > tuning.max_left_out * scene.frames:
         notes.append(
             f"{len(why)} of {scene.frames} frames are at doubtful places; because they are so many, none is left out "
