@@ -38,7 +38,7 @@ from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import length_of_path
 from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
-from tiegraph.sfm.verified import read_verified
+from tiegraph.sfm.verified import agreement, image_observations, read_verified
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
@@ -254,24 +254,34 @@ def _with_others(job: Job, outcome: Outcome) -> Outcome:
 
 def _mapped(job: Job, label: str) -> Outcome:
     """Run the chosen mapper. If its process ends, or under "auto" clearly fewer images than possible are placed, run
-    it again with another seed (one start in a dozen fell apart on the example), then run the other mapper."""
+    it again with another seed (one start in a dozen fell apart on the example), then run the other mapper. Of a
+    small survey both mappers make a model. The one that explains most matches is kept.
+
+    The incremental mapper starts with two images. If these are near each other, a second relative pose explains them
+    nearly as well, and the model grows from it: a car that drove off (50 images of PandaSet's front camera) became a
+    sideways drive along a plane, rotated by 16 deg in the end, with 0.38 px instead of 0.28. The global mapper weighs
+    all pairs at once.
+    """
     first = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
-    outcome = _run(job, first, label)
-    reachable = job.graph.components[0]
-    tuning = job.tuning.mapping
-    enough = (tuning.roughly_fewer if job.source.rough else tuning.clearly_fewer) * reachable
-    enough, other = enough if job.settings.mapper == "auto" else 0, _OTHER[first]
-    tries = ((first, 1),) if job.source.rough else ((first, 1), (other, 0))  # a rough model needs no slow mapper
-    for mapper, seed in tries:
-        if not outcome.died and outcome.registered >= enough:
-            break
+    auto, rough = job.settings.mapper == "auto", job.source.rough
+    reachable, tuning = job.graph.components[0], job.tuning.mapping
+    enough = (tuning.roughly_fewer if rough else tuning.clearly_fewer) * reachable if auto else 0
+    both = auto and first == "incremental"
+    best = _run(job, first, label)
+    for mapper, seed in ((first, 1), (_OTHER[first], 0)):
+        few, other = best.died or best.registered < enough, mapper != first
+        if not (both and other) and (not few or (rough and other)):  # a rough model needs no slow mapper
+            continue
         second = _run(job, mapper, label, seed)
-        better = second if second.registered > outcome.registered else outcome
+        share = [_explained(job, outcome) for outcome in (best, second)]
+        kept = second if share[1] > share[0] else best
         job.account.notes.append(
-            f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
-            f"{mapper} mapping was tried too ({second.registered} images): the {better.mapper} model is kept"
+            f"{best.mapper} mapping {label} placed {best.registered} of {reachable} connected images and explains "
+            f"{100 * share[0]:.0f} % of the matches, {mapper} mapping {second.registered} and {100 * share[1]:.0f} %: "
+            f"the {kept.mapper} model is kept"
         )
-        outcome = better
+        best = kept
+    outcome = best
     if not outcome.folders:
         why = outcome.refused or "the mapper found no two images to start from, or its models fell apart"
         error = ChildDied if outcome.died else ReconstructionError
@@ -280,6 +290,16 @@ def _mapped(job: Job, label: str) -> Outcome:
         text = f"{first} mapping was requested, but its process ended: {outcome.mapper} mapping made the model"
         job.account.contradictions.append(text)
     return _near_given_focal_lengths(job, outcome, label)
+
+
+def _explained(job: Job, outcome: Outcome) -> float:
+    """Share of all verified matches that the first model of an outcome explains."""
+    if not outcome.folders:
+        return 0.0
+    verified = read_verified(job.source.database, job.scene, job.source.refused)
+    tuning = job.tuning.placement.agreement
+    right = agreement(verified, image_observations(read_model(outcome.folders[0]), job.scene, tuning))[:, :2].sum() / 2
+    return float(right / max(sum(min(len(m), tuning.matches_a_pair) for m in verified.matches), 1))
 
 
 def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
