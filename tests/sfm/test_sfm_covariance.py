@@ -53,11 +53,15 @@ def world(tmp_path_factory):
 
 def test_a_sigma_covers_another_place_of_a_frame(world) -> None:
     told = position_sigma(_noisy(world[0], 0.5, 0), free_intrinsics=False, free_rig=False, tuning=TUNING)
-    wide = told.covering({told.frame_ids[2]: np.array([0.0, 3.0, -4.0])})
+    step = np.array([0.0, 3.0, -4.0])
+    wide = told.covering([{told.frame_ids[2]: step}])
     assert np.allclose(wide.sigma[2] ** 2, told.sigma[2] ** 2 + [0, 9, 16]) and wide.sigma[2, 0] == told.sigma[2, 0]
     assert np.array_equal(np.delete(wide.sigma, 2, 0), np.delete(told.sigma, 2, 0))
     assert np.allclose((wide.covariance - told.covariance)[6:9, 6:9], [[0, 0, 0], [0, 9, -12], [0, -12, 16]])
     assert wide.p90 > told.p90
+    block, alone = (Shape.of(world[0], told, world[1], s) for s in ([{k: step for k in told.frame_ids[2:4]}], []))
+    apart = block.modes[:, 2] - block.modes[:, 3]  # a block goes as a whole, so that its inner distances are known
+    assert block.sigma[2:4].min() >= 5 and rms(apart) < 0.1 and np.allclose(block.sigma[4:], alone.sigma[4:], rtol=0.05)
 
 
 @pytest.mark.slow

@@ -153,7 +153,8 @@ def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames
     found = _explained(model, scene, tmp_path)
     places = part_places(found, TUNING)
     assert all(p.wins and p.positions == 0 and p.here < 0.2 * p.there for p in places)
-    moves, steps = {f: p.move for p in places for f in p.frames}, steps_of_parts(found, places)
+    moves = {f: p.move for p in places for f in p.frames}
+    steps = {f: step for part in steps_of_parts(found, places) for f, step in part.items()}
     assert (
         all(np.allclose(off[f] + steps[f], moves[f](off[f]), atol=1e-9) for f in moves) and steps.keys() == moves.keys()
     )
@@ -185,7 +186,7 @@ def test_measured_positions_decide_between_two_places_of_a_part(world, tmp_path:
     assert place.positions == {"here": -1, "there": 1, "nowhere": 0}[right] and place.wins == (right != "here")
     moved, out = placed_anew(model, scene, found.verified, TUNING)
     assert len(moved) == (0 if right == "here" else 5) and out == []
-    assert (steps_of_parts(found, [place]) == {}) == (right == "here")
+    assert (steps_of_parts(found, [place]) == []) == (right == "here")
     check, (said, sure) = _test(model, scene, tmp_path), confirmed_places([place], scene)
     assert check.dropped == [] and len(check.notes) == (right != "here") and len(said) == (right == "here")
     assert sure == (set(range(9, 14)) if right == "here" else set())

@@ -16,14 +16,13 @@ lever arms with their sigmas, in metres in the receipt of ``georef``.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pycolmap
 from scipy import sparse
-from scipy.linalg import block_diag
 
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.scene.sorting import evenly
@@ -103,12 +102,15 @@ class PositionSigma:
         """90th percentile of the frames' root sum of squares."""
         return float(np.percentile(np.linalg.norm(self.sigma, axis=1), 90))
 
-    def covering(self, steps: Mapping[int, np.ndarray]) -> PositionSigma:
-        """The same with sigmas that also cover the alternative places of frames (ids of the model), each a ``step``
-        (3,) away."""
-        away = np.array([steps.get(k, np.zeros(3)) for k in self.frame_ids]).reshape(-1, 3)
-        full = None if self.covariance is None else self.covariance + block_diag(*(np.outer(a, a) for a in away))
-        return replace(self, sigma=np.hypot(self.sigma, away), covariance=full)
+    def covering(self, steps: Iterable[Mapping[int, np.ndarray]]) -> PositionSigma:
+        """The same with sigmas that also cover the alternative places of frames (ids of the model), each a step (3,)
+        away; those of one mapping stand there all or none."""
+        out = self
+        for group in steps:
+            away = np.array([group.get(k, np.zeros(3)) for k in self.frame_ids]).reshape(-1, 3)
+            full = None if out.covariance is None else out.covariance + np.outer(away, away)
+            out = replace(out, sigma=np.hypot(out.sigma, away), covariance=full)
+        return out
 
     def tables(self, names: Mapping[int, str]) -> dict[str, dict]:
         """Interior orientation, mounting and lens errors as tables of the receipt; ``names`` of the cameras by id."""

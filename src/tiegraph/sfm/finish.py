@@ -8,7 +8,7 @@ nothing, is not used. Two things are not modelled: motion that changes faster th
 that were turned on their side (their rows are columns of the sensor).
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -49,6 +49,9 @@ from tiegraph.sfm.tuning import ShutterTuning, SigmaTuning, Tuning
 from tiegraph.text import known_to, some
 
 _NAMED = 3  # frames that a sentence names
+Steps = Sequence[Mapping[int, np.ndarray]]
+"""The steps (3,) to alternative places of frames (COLMAP's ids), model units; those of one mapping go there all or
+none."""
 
 
 @dataclass(frozen=True)
@@ -215,27 +218,25 @@ def _rig_findings(checked: Checked) -> FinishResult:
     return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
 
 
-def _matches(
-    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
-) -> tuple[FinishResult, dict[int, np.ndarray]]:
+def _matches(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> tuple[FinishResult, Steps]:
     """How many of the verified matches the final model explains, which frames their matches still contradict, and
-    whether the matches between cameras of rigs agree; and steps to alternative places of frames (COLMAP's ids)."""
+    whether the matches between cameras of rigs agree; and steps to alternative places of frames."""
     if request.matched is None or request.rough:
-        return FinishResult(), {}
+        return FinishResult(), []
     try:
         found = explained(model, scene, request.matched.read(scene), request.tuning.placement)
         other, places = rivals(found), part_places(found.in_doubt(found.tuning.agrees), request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return FinishResult([f"the matches could not be checked against the model: {error}"]), {}
+        return FinishResult([f"the matches could not be checked against the model: {error}"]), []
     tables, said = {"matches that the model explains: frames with the fewest": found.table()}, rivals_told(other, scene)
     parts, (confirmed, sure) = steps_of_parts(found, places), confirmed_places(places, scene)
-    if parts:
-        away = float(np.median([np.linalg.norm(step) for step in parts.values()]))
+    for part in parts:
+        away = float(np.median([np.linalg.norm(step) for step in part.values()]))
         said.append(
-            f"the matches of {len(parts)} frames together support a second place too, {away:.3g} model units away; "
-            f"their sigmas cover both places ({named(parts.keys(), scene)})"
+            f"the matches of {len(part)} frames together support a second place too, {away:.3g} model units away; "
+            f"their sigmas cover both places ({named(part.keys(), scene)})"
         )
-    if lost := found.doubts.keys() - other.keys() - parts.keys() - sure:
+    if lost := found.doubts.keys() - other.keys() - sure - {f for part in parts for f in part}:
         said.append(
             f"most matches of {len(lost)} frames contradict their final place: their errors may be larger than "
             f"stated ({named(lost, scene)})"
@@ -244,8 +245,9 @@ def _matches(
         between = camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
         tables |= {"matches between cameras": matches_table(between, scene)} if between else {}
         said += matches_sentence(between, scene)
-    there = {f: r.step for f, r in other.items()} | parts
-    steps = {k: step for f, step in there.items() for k in frame_ids(model, scene, f)}
+    inside = {f for part in parts for f in part}
+    groups = [*parts, *({f: r.step} for f, r in other.items() if f not in inside)]
+    steps = [{k: step for f, step in group.items() for k in frame_ids(model, scene, f)} for group in groups]
     counts = {"matches_explained_percent": round(found.percent(), 1)}
     return FinishResult(confirmed, tables=tables, contradictions=said, counts=counts), steps
 
@@ -260,15 +262,15 @@ def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishR
     return FinishResult()
 
 
-def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Mapping[int, np.ndarray]) -> FinishResult:
-    """The sigmas of positions, lenses and mountings; ``steps``: to alternative places of frames."""
+def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Steps) -> FinishResult:
+    """The sigmas of positions, lenses and mountings."""
     frames = checked.model.num_reg_frames()
     if frames > request.covariance_frames:
         many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
         return FinishResult([many] if request.covariance_frames > 0 else [])
     try:
-        sigma = _position_sigma(checked, scene, request).covering(steps)
-        shape = Shape.of(checked.model, sigma, scene)
+        sigma = _position_sigma(checked, scene, request)
+        shape, sigma = Shape.of(checked.model, sigma, scene, steps), sigma.covering(steps)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}

@@ -360,12 +360,12 @@ def part_places(found: Explained, tuning: PlacementTuning) -> list[PartPlace]:
         out.append(best[first])
 
 
-def steps_of_parts(found: Explained, places: Iterable[PartPlace]) -> dict[int, np.ndarray]:
-    """By frame (scene index) of parts with another place that is not clearly worse, the offset (3,) to it, model
+def steps_of_parts(found: Explained, places: Iterable[PartPlace]) -> list[dict[int, np.ndarray]]:
+    """For each part with another place that is not clearly worse, by frame (scene index) the offset (3,) to it, model
     units."""
     centre, least = _centres(found), found.tuning.agrees
     open_ = [p for p in places if p.positions > 0 or (not p.positions and p.there > least * p.here)]
-    return {f: place.move(centre[f][None])[0] - centre[f] for place in open_ for f in place.frames}
+    return [{f: place.move(centre[f][None])[0] - centre[f] for f in place.frames} for place in open_]
 
 
 def confirmed_places(places: Iterable[PartPlace], scene: Scene) -> tuple[list[str], set[int]]:

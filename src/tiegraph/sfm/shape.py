@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,10 +36,17 @@ class Shape:
     turn: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
     @staticmethod
-    def of(model: pycolmap.Reconstruction, sigma: PositionSigma, scene: Scene) -> Shape | None:
-        """From the covariance of an adjustment; None without one, and if it is as large as the whole model, because
-        the linearisation about the positions is then invalid."""
-        if sigma.covariance is None:
+    def of(
+        model: pycolmap.Reconstruction,
+        sigma: PositionSigma,
+        scene: Scene,
+        steps: Sequence[Mapping[int, np.ndarray]] = (),
+    ) -> Shape | None:
+        """From the covariance of an adjustment, and from steps to alternative places (``PositionSigma.covering``);
+        None without a covariance, and if it is as large as the whole model, because the linearisation about the
+        positions is then invalid."""
+        covariance = sigma.covering(steps).covariance
+        if sigma.covariance is None or covariance is None:
             return None
         number = {name: k for k, name in enumerate(scene.names)}
         frames = [model.frame(k) for k in sigma.frame_ids]
@@ -47,9 +55,9 @@ class Shape:
         rows = rows[np.unique(scene.frame[first][rows], return_index=True)[1]]  # the first of cameras with own times
         at = (3 * rows[:, None] + np.arange(3)).ravel()
         place = np.array([_centre(frames[k]) for k in rows])
-        shape = Shape._of(scene.frame[first][rows], place, sigma.covariance[np.ix_(at, at)])
-        if not rms_length(shape.sigma[:, None]) < rms_length(place - place.mean(axis=0)):
+        if not rms_length(np.diag(sigma.covariance)[at].reshape(-1, 3) ** 0.5) < rms_length(place - place.mean(axis=0)):
             return None
+        shape = Shape._of(scene.frame[first][rows], place, covariance[np.ix_(at, at)])
         if sigma.turns is None:
             return shape
         usual = np.argsort(np.trace(sigma.turns, axis1=1, axis2=2))[len(sigma.turns) // 2]
