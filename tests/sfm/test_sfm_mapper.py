@@ -284,6 +284,39 @@ def test_the_model_that_explains_the_images_better_stays(
     assert mapping._near_given_focal_lengths(ordered, first, "") is first
 
 
+@pytest.mark.parametrize("right", ["incremental", "global"])
+def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: str
+) -> None:
+    """The incremental mapper may begin with the wrong one of two relative poses: here half of the frames slid."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=8)
+    wrong = pycolmap.Reconstruction(truth)
+    for frame_id in range(1, 5):
+        pose = wrong.frame(frame_id).rig_from_world
+        wrong.frame(frame_id).rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + [0.5, 0.2, 0.4])
+    made = {name: _written(truth if name == right else wrong, tmp_path / name) for name in ("incremental", "global")}
+    asked: list[str] = []
+
+    def run(job: mapping.Job, mapper: str, label: str, seed: int = 0) -> mapping.Outcome:
+        asked.append(mapper)
+        return mapping.Outcome(mapper, [made[mapper]], len(scene))
+
+    monkeypatch.setattr(mapping, "_run", run)
+    monkeypatch.setattr(mapping, "_near_given_focal_lengths", lambda job, outcome, label: outcome)
+    job = _job(scene)
+    job = replace(job, source=replace(job.source, database=tmp_path / "database.db"))
+    job = replace(job, graph=SimpleNamespace(components=[len(scene)]))
+    for rough in (True, False):
+        assert mapping._mapped(replace(job, source=replace(job.source, rough=rough)), "").mapper == right
+    assert asked == ["incremental", "global"] * 2
+    assert f"the {right} model is kept" in job.account.notes[-1]
+    asked.clear()
+    for how in ("incremental", "global"):
+        ordered = replace(job, settings=SparseSettings(mapper=how))
+        assert mapping._mapped(ordered, "").mapper == how
+    assert asked == ["incremental", "global"]
+
+
 def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
     wrong, tuning = _with_focal(truth, 1.02), Tuning().adjust
