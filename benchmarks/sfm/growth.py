@@ -30,8 +30,8 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.finish import finish_model
-from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper
 from tiegraph.sfm.tuning import Tuning

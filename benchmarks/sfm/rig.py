@@ -24,10 +24,10 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import finish_model
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held

@@ -38,11 +38,12 @@ from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.sfm.consistency import MatchSource, explained
 from tiegraph.sfm.database import ViewGraph, write_working_copy
 from tiegraph.sfm.mapper import Source
 from tiegraph.sfm.mapping import Account, Job, RigsUsed, _request
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.placement import MatchSource, explained, leave_out_doubtful
+from tiegraph.sfm.placement import leave_out_doubtful
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.run import Request, _options, _triangulate, run_mapper
 from tiegraph.sfm.settings import SparseSettings

@@ -24,8 +24,9 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapper, mapping
 from tiegraph.sfm.mapper import SparseResult
-from tiegraph.sfm.mapping import choose_mapper, cost_in_the_end, ran_off
+from tiegraph.sfm.mapping import choose_mapper, cost_in_the_end
 from tiegraph.sfm.model import held_out_frames
+from tiegraph.sfm.registrationreport import ran_off
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import MappingTuning, Tuning

@@ -15,20 +15,16 @@ from near import off_after_similarity
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.consistency import ConsistencyVotes, Explained, MatchSource, explained, suspect_frames
 from tiegraph.sfm.placement import (
-    ConsistencyVotes,
-    Explained,
-    MatchSource,
     PlacementCheck,
     confirmed_places,
-    explained,
     leave_out_doubtful,
     part_places,
     placed_anew,
     rivals,
     rivals_told,
     steps_of_parts,
-    suspect_frames,
 )
 from tiegraph.sfm.tuning.placement import PlacementTuning
 

@@ -25,12 +25,12 @@ from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost, without_outliers
 from tiegraph.sfm.adjustment.jacobians import Layout
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
+from tiegraph.sfm.consistency import explained
 from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
 from tiegraph.sfm.placement import (
     PlacementCheck,
     confirmed_places,
-    explained,
     frame_ids,
     leave_out_doubtful,
     named,

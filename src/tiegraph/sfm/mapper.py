@@ -17,6 +17,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.scene.weakties import WeaklyTied
+from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishResult, finish_model
@@ -33,7 +34,6 @@ from tiegraph.sfm.mapping import (
     ran_off,
 )
 from tiegraph.sfm.model import registration_tables
-from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,

@@ -31,14 +31,14 @@ from tiegraph.sfm.adjustment.adjust import final_adjustment, robust_cost
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.registrationreport import no_model_text
+from tiegraph.sfm.registrationreport import no_model_text, ran_off
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import length_of_path
 from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
-from tiegraph.sfm.verified import agreement, image_observations, read_verified
+from tiegraph.sfm.verified import read_verified, share_explained
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
@@ -258,9 +258,8 @@ def _mapped(job: Job, label: str) -> Outcome:
     small survey both mappers make a model. The one that explains most matches is kept.
 
     The incremental mapper starts with two images. If these are near each other, a second relative pose explains them
-    nearly as well, and the model grows from it: a car that drove off (50 images of PandaSet's front camera) became a
-    sideways drive along a plane, rotated by 16 deg in the end, with 0.38 px instead of 0.28. The global mapper weighs
-    all pairs at once.
+    nearly as well, and the model grows from it: of a car that drove off (PandaSet's front camera) to a drive along a
+    plane, rotated by 16 deg in the end, with 0.38 px instead of 0.28. The global mapper weighs all pairs at once.
     """
     first = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
     auto, rough = job.settings.mapper == "auto", job.source.rough
@@ -297,9 +296,7 @@ def _explained(job: Job, outcome: Outcome) -> float:
     if not outcome.folders:
         return 0.0
     verified = read_verified(job.source.database, job.scene, job.source.refused)
-    tuning = job.tuning.placement.agreement
-    right = agreement(verified, image_observations(read_model(outcome.folders[0]), job.scene, tuning))[:, :2].sum() / 2
-    return float(right / max(sum(min(len(m), tuning.matches_a_pair) for m in verified.matches), 1))
+    return share_explained(read_model(outcome.folders[0]), job.scene, verified, job.tuning.placement.agreement)
 
 
 def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
@@ -390,19 +387,6 @@ def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
 
 # --- focal lengths that diverged while a mapper started from nothing
 # ---------------------------------------------------
-
-
-def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | None:
-    """A text on the first camera whose focal length is more than ``most`` times longer or shorter than the given one;
-    None if there is none."""
-    for key, sensor in enumerate(scene.all_sensors, start=1):
-        given = sensor.camera
-        if given is None or not given.has_prior_focal_length or key not in model.cameras:
-            continue
-        found_px, given_px = model.cameras[key].mean_focal_length(), given.mean_focal_length()
-        if not 1 / most < found_px / given_px < most:
-            return f"the focal length of {sensor.name} {found_px:.0f} px, but {given_px:.0f} px are given"
-    return None
 
 
 def cost_in_the_end(

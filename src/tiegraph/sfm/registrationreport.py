@@ -237,3 +237,16 @@ def camera_table(reconstruction: pycolmap.Reconstruction, scene: Scene) -> dict:
 
 def _median(values: np.ndarray) -> int:
     return int(np.median(values)) if len(values) else 0
+
+
+def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | None:
+    """A text on the first camera whose focal length is more than ``most`` times longer or shorter than the given one;
+    None if there is none."""
+    for key, sensor in enumerate(scene.all_sensors, start=1):
+        given = sensor.camera
+        if given is None or not given.has_prior_focal_length or key not in model.cameras:
+            continue
+        found_px, given_px = model.cameras[key].mean_focal_length(), given.mean_focal_length()
+        if not 1 / most < found_px / given_px < most:
+            return f"the focal length of {sensor.name} {found_px:.0f} px, but {given_px:.0f} px are given"
+    return None

@@ -14,8 +14,8 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment
 from tiegraph.sfm.adjustment.fewpoints import take_poses
 from tiegraph.sfm.adjustment.rigpriors import rig_priors
+from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, let_go
-from tiegraph.sfm.placement import MatchSource
 from tiegraph.sfm.rig.confront import in_units, lens_prior_test, mounting_errors, open_times, prior_test, refine
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics, torn_off
 from tiegraph.sfm.rig.priortest import PriorTest

@@ -253,8 +253,7 @@ def model_from(
     placed images.
 
     Unknowns beside poses and points: none at first, because lens and rig would absorb the errors of the poses; then
-    both; then principal points too, because the final adjustment alone does not find them: with principal points held
-    in all rounds canal's frames are 12 mm off after it, otherwise they are as good as the mapper's.
+    both; then principal points: with them held in all rounds canal's frames are 12 mm off after the final adjustment.
     """
     cache = read_cache(database, options(False).min_num_matches)
     model = pycolmap.Reconstruction()
@@ -280,10 +279,8 @@ def model_from(
 
 
 def _settle(mapper: pycolmap.IncrementalMapper, options: Callable[[bool], Options], tuning: Tuning, anew: Anew) -> None:
-    """Adjust everything and triangulate all points; once more if frames are at doubtful places even then.
-
-    Principal points 8 px off are 26 mrad for a wide lens: before they are right, matches hardly tell places apart.
-    """
+    """Adjust everything and triangulate all points; once more if frames are at doubtful places even then: before
+    principal points are right (8 px are 26 mrad of a wide lens), matches hardly tell places apart."""
     for last in (False, True):
         _thin(mapper, tuning.adjust.few_points)
         _round(mapper, options(True), tuning, centre=True)

@@ -163,6 +163,14 @@ def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     return all_.of_pairs(*(np.where(t < 0, meets, t > 0) for t in told))
 
 
+def share_explained(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: AgreementTuning
+) -> float:
+    """Share of all verified matches, those of images without a pose too, that a model explains (``agreement``)."""
+    right = agreement(verified, image_observations(model, scene, tuning))[:, :2].sum() / 2
+    return float(right / max(sum(min(len(m), tuning.matches_a_pair) for m in verified.matches), 1))
+
+
 @dataclass(frozen=True)
 class Sightings:
     """For K key points of some images, the points that other frames made of their matches: ``image`` (K,) scene
