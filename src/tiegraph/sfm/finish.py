@@ -270,11 +270,13 @@ def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: St
         return FinishResult([many] if request.covariance_frames > 0 else [])
     try:
         sigma = _position_sigma(checked, scene, request)
-        shape, sigma = Shape.of(checked.model, sigma, scene, steps), sigma.covering(steps)
+        alone = Shape.of(checked.model, sigma, scene)
+        shape = Shape.of(checked.model, sigma, scene, steps) if steps else alone
+        sigma = sigma.covering(steps)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return FinishResult([f"position sigmas could not be computed: {error}"])
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-    notes = _open_notes(sigma, names, request.tuning.sigma) + _open_places(shape, scene, request.tuning.sigma)
+    notes = _open_notes(sigma, names, request.tuning.sigma) + _open_places(alone, scene, request.tuning.sigma)
     return FinishResult(notes, sigma.tables(names), sigma=sigma, shape=shape)
 
 
