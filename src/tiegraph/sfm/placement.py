@@ -25,7 +25,7 @@ from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.consistency import Explained, MatchSource, explained
-from tiegraph.sfm.ties import find_ties, fits, tested, together
+from tiegraph.sfm.ties import Ties, find_ties, fits, tested, together
 from tiegraph.sfm.tuning.placement import PlacementTuning
 from tiegraph.sfm.verified import (
     ImageObservations,
@@ -195,23 +195,29 @@ def part_places(found: Explained, tuning: PlacementTuning) -> list[PartPlace]:
     placed = {int(found.scene.frame[k]) for k in found.seen.cameras}
     parts = [tuple(placed - found.doubts.keys()), *(part for part in found.parts if len(part) > 1)]
     seen, done, out = [found.seen.alone(part) for part in parts], {0: Similarity()}, []
+    ties: dict[int, list[Ties]] = {k: [] for k in range(1, len(parts))}
+    best: dict[int, PartPlace] = {}
+    latest = 0
     while True:
-        best: dict[int, PartPlace] = {}
-        for k in set(range(len(parts))) - done.keys():
-            ties = together([find_ties(seen[n], seen[k], found.verified, tuning).moved(s) for n, s in done.items()])
-            rest = together_seen([seen[n].moved(s) for n, s in done.items()])
+        rest = together_seen([seen[n].moved(place) for n, place in done.items()])
+        for k, own in ties.items():
+            if not len(new := find_ties(seen[latest], seen[k], found.verified, tuning)):
+                continue
+            own.append(new.moved(done[latest]))
+            all_ = together(own)
             places = [
                 _place(found, parts[k], rest, seen[k], fit.first_from_second)
-                for fit in fits(ties, tuning)
-                if tested(ties, fit, tuning).holds(tuning)
+                for fit in fits(all_, tuning)
+                if tested(all_, fit, tuning).holds(tuning)
             ]
             if places:
                 best[k] = max(places, key=lambda one: (one.positions > 0, one.positions < 0, one.there))
         if not best:
             return out
-        first = max(best, key=lambda k: best[k].there)
-        done[first] = best[first].move if best[first].wins else Similarity()
-        out.append(best[first])
+        latest = max(best, key=lambda k: best[k].there)
+        out.append(best.pop(latest))
+        done[latest] = out[-1].move if out[-1].wins else Similarity()
+        del ties[latest]
 
 
 def steps_of_parts(found: Explained, places: Iterable[PartPlace]) -> list[dict[int, np.ndarray]]:
