@@ -266,21 +266,20 @@ def _mapped(job: Job, label: str) -> Outcome:
     reachable, tuning = job.graph.components[0], job.tuning.mapping
     enough = (tuning.roughly_fewer if rough else tuning.clearly_fewer) * reachable if auto else 0
     both = auto and first == "incremental"
-    best = _run(job, first, label)
+    outcome = _run(job, first, label)
     for mapper, seed in ((first, 1), (_OTHER[first], 0)):
-        few, other = best.died or best.registered < enough, mapper != first
+        few, other = outcome.died or outcome.registered < enough, mapper != first
         if not (both and other) and (not few or (rough and other)):  # a rough model needs no slow mapper
             continue
         second = _run(job, mapper, label, seed)
-        share = [_explained(job, outcome) for outcome in (best, second)]
-        kept = second if share[1] > share[0] else best
+        share = [_explained(job, one) for one in (outcome, second)]
+        kept = second if share[1] > share[0] else outcome
         job.account.notes.append(
-            f"{best.mapper} mapping {label} placed {best.registered} of {reachable} connected images and explains "
-            f"{100 * share[0]:.0f} % of the matches, {mapper} mapping {second.registered} and {100 * share[1]:.0f} %: "
-            f"the {kept.mapper} model is kept"
+            f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images and "
+            f"explains {100 * share[0]:.0f} % of the matches, {mapper} mapping {second.registered} and "
+            f"{100 * share[1]:.0f} %: the {kept.mapper} model is kept"
         )
-        best = kept
-    outcome = best
+        outcome = kept
     if not outcome.folders:
         why = outcome.refused or "the mapper found no two images to start from, or its models fell apart"
         error = ChildDied if outcome.died else ReconstructionError

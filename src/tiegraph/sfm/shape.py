@@ -55,7 +55,9 @@ class Shape:
         rows = rows[np.unique(scene.frame[first][rows], return_index=True)[1]]  # the first of cameras with own times
         at = (3 * rows[:, None] + np.arange(3)).ravel()
         place = np.array([_centre(frames[k]) for k in rows])
-        if not rms_length(np.diag(sigma.covariance)[at].reshape(-1, 3) ** 0.5) < rms_length(place - place.mean(axis=0)):
+        if not rms_length(np.sqrt(np.clip(np.diag(sigma.covariance)[at], 0, None)).reshape(-1, 3)) < rms_length(
+            place - place.mean(axis=0)
+        ):
             return None
         shape = Shape._of(scene.frame[first][rows], place, covariance[np.ix_(at, at)])
         if sigma.turns is None:

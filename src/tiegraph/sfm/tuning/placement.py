@@ -53,7 +53,8 @@ class TieTuning(Section):
     most: int = Field(2000, gt=0)
     """Matches used for a fit: more add time, not information."""
     proposals: int = Field(50, ge=0)
-    """Pairs of images that each propose a similarity."""
+    """Pairs of images that each propose a similarity. Of a canal whose wall repeats (`benchmarks/sfm/README.md`) 10
+    miss the true place, 20, 50 and 100 find it."""
     fits: int = Field(3, gt=0)
     """Similarities with different agreeing ties that are refined."""
     rounds: int = Field(3, gt=0)
