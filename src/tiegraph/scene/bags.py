@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.names import clean
-from tiegraph.scene.regular import regular
 from tiegraph.text import some
 
 ROS1 = (".bag", ".active")  # the second while it is recorded

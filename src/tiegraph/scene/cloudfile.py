@@ -15,8 +15,7 @@ import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, parse_crs
-from tiegraph.scene.atomic import replacing
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular, replacing
 from tiegraph.scene.results import Cloud
 
 # Scale of a world without units, as a share of its points' spacing or, if unknown, of the first part's extent:

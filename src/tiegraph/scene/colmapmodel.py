@@ -1,12 +1,16 @@
-"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), written, converted to
-arrays by the scene's images and sensors; ids in its database. And several models of one world in one model.
+"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), converted to arrays by the
+scene's images and sensors; which images are registered, for all counts.
+
+A pose alone proves nothing: COLMAP registers a frame with all the cameras of its rig, also with those that see no point
+at all (27 images of a drone rig over forest). An image is *registered* if it sees at least 10 points with residuals
+below 4 px; one that has a pose but not these is *placed by the rig*, and is counted separately everywhere.
 """
 
 import shutil
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,11 +21,11 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.scene.atomic import scratch_folder
+from tiegraph.scene.atomic import regular, scratch_folder
 from tiegraph.scene.names import check_text
-from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.text import one_line
 
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
@@ -235,7 +239,7 @@ def model_centres(reconstruction: pycolmap.Reconstruction) -> np.ndarray:
 
 
 def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
-    """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``scene.registered``."""
+    """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``registration``."""
     counts = np.zeros(len(scene), int)
     for index, image in registered_images(reconstruction, scene):
         counts[index] = image.num_points3D
@@ -281,78 +285,54 @@ def _get(table: Any, key: int, otherwise: Any) -> Any:
     return table[key] if key in table else otherwise
 
 
-def merged(models: Sequence[pycolmap.Reconstruction]) -> pycolmap.Reconstruction:
-    """One model of the registered images of all, which must be in one frame and unit; ids of cameras, rigs, frames
-    and images of the first model stay.
-
-    Models that were adjusted separately have separate calibrations: each brings its own, under new ids.
-    An image of an earlier model is left out of a later one, and so are points that then have less than two images.
-    """
-    out = pycolmap.Reconstruction()
-    for model in models:
-        _add(out, model)
-    return out
+# --- registered images ------------------------------------------------------------------------------------------------
 
 
-def _add(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction) -> None:
-    there = {out.image(k).name for k in out.images}
-    new = [k for k in sorted(model.reg_image_ids()) if model.image(k).name not in there]
-    if not new:
-        return
-    ids = {k: k if k not in out.images else max(max(out.images), max(model.images)) + 1 + n for n, k in enumerate(new)}
-    cameras = {k: k + max(out.cameras, default=0) for k in model.cameras}
-    _add_rigs(out, model, cameras)
-    _add_frames(out, model, cameras, ids)
-    _add_points(out, model, ids)
+BY_RIG = "placed by the rig"  # the name of the others in tables
+_ASKED = 100  # points of an image that are tested; of more, some that are spread evenly
+LEFT_OUT = "left out: "  # begin of the reason for an image that had a wrong position
 
 
-def _add_rigs(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, cameras: dict[int, int]) -> None:
-    for old, new in cameras.items():
-        fields = model.camera(old).todict()
-        out.add_camera(pycolmap.Camera(**{**fields, "camera_id": new}))
-    first = max(out.rigs, default=0)
-    for number, rig in sorted(model.rigs.items()):
-        copy = pycolmap.Rig(rig_id=first + number)
-        copy.add_ref_sensor(_sensor(rig.ref_sensor_id, cameras))
-        for sensor, pose in rig.non_ref_sensors.items():
-            copy.add_sensor(_sensor(sensor, cameras), pose)
-        out.add_rig(copy)
+@dataclass(frozen=True)
+class Registration:
+    """For each image of a scene (N,): whether it has a pose in the model, how many points it sees with small
+    residuals, and the least number of these."""
+
+    placed: np.ndarray  # (N,) bool
+    points: np.ndarray  # (N,) i8
+    min_points: int
+
+    @property
+    def registered(self) -> np.ndarray:
+        """(N,) bool: it has a pose confirmed by points."""
+        return self.placed & (self.points >= self.min_points)
+
+    @property
+    def by_rig(self) -> np.ndarray:
+        """(N,) bool: it has a pose, from the other cameras of its rig or from very few points."""
+        return self.placed & (self.points < self.min_points)
 
 
-def _add_frames(
-    out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, cameras: dict[int, int], ids: dict[int, int]
-) -> None:
-    rigs = max(out.rigs) - max(model.rigs)
-    taken = max([*out.frames, *model.frames])
-    for number in sorted({model.image(k).frame_id for k in ids}):
-        old = model.frame(number)
-        taken += number in out.frames
-        frame = pycolmap.Frame(frame_id=taken if number in out.frames else number, rig_id=old.rig_id + rigs)
-        images = [model.image(d.id) for d in old.data_ids if d.id in ids]
-        for image in images:
-            sensor = _sensor(image.data_id.sensor_id, cameras)
-            frame.add_data_id(pycolmap.data_t(sensor, ids[image.image_id]))
-        frame.rig_from_world = old.rig_from_world
-        out.add_frame(frame)
-        for image in images:
-            copy = pycolmap.Image(
-                name=image.name, camera_id=cameras[image.camera_id], image_id=ids[image.image_id],
-                keypoints=[p.xy for p in image.points2D],
-            )  # fmt: skip
-            copy.frame_id = frame.frame_id
-            out.add_image(copy)
-        out.register_frame(frame.frame_id)
+def registration(model: Any, scene: Scene, tuning: RegisteredTuning) -> Registration:
+    """Of the images of a scene in a ``pycolmap.Reconstruction``; images go by name."""
+    found = agreeing_points(model, tuning)
+    placed = np.array([name in found for name in scene.names], bool)
+    return Registration(placed, np.array([found.get(name, 0) for name in scene.names], int), tuning.min_points)
 
 
-def _add_points(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, ids: dict[int, int]) -> None:
-    for _, point in sorted(model.points3D.items()):
-        track = [e for e in point.track.elements if e.image_id in ids]
-        if len(track) < 2:
-            continue
-        elements = [pycolmap.TrackElement(ids[e.image_id], e.point2D_idx) for e in track]
-        number = out.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
-        out.points3D[number].error = point.error
+def agreeing_points(model: Any, tuning: RegisteredTuning) -> dict[str, int]:
+    """By name of each image with a pose in a ``pycolmap.Reconstruction``: its points with small residuals."""
+    return {i.name: _agreeing(model, i, tuning) for i in model.images.values() if i.has_pose}
 
 
-def _sensor(sensor: pycolmap.sensor_t, cameras: dict[int, int]) -> pycolmap.sensor_t:
-    return pycolmap.sensor_t(sensor.type, cameras[sensor.id])
+def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
+    rows = image.get_observation_point2D_idxs()
+    asked = [image.point2D(rows[k]) for k in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
+    if not asked:
+        return 0
+    pose = image.cam_from_world().matrix()
+    local = np.array([model.points3D[p.point3D_id].xyz for p in asked]) @ pose[:, :3].T + pose[:, 3]
+    ahead = local[:, 2] > 0
+    place = np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead]), float)
+    off = np.linalg.norm(place - np.array([p.xy for p in asked])[ahead], axis=1)
+    return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN counts as disagreement

@@ -18,8 +18,8 @@ from tiegraph.geometry.geodesy import (
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.gnss.fixes import HEIGHTS_M, beyond
-from tiegraph.scene.markpixels import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.names import found_by, lookup_of
+from tiegraph.scene.rig import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import some
@@ -102,7 +102,7 @@ def locate(
     ``orientation``: by EXIF, of images by scene index, 1 if not listed. Marks in images that are not here, or where the
     images were cropped, are left out and noted with file and line, and so are points that keep less than two. Raises
     InputError if no mark is in an image of the survey, if one lies outside its image and in no copy of the images do
-    all lie inside (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, far
+    all lie inside (``rig.Copy``), if one image has two marks of a point, if coordinates lie outside their CRS, far
     from the survey, or at heights beyond ``heights_m``.
     """
     notes = list(file.notes)

@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from PIL import Image, ImageFile
+from PIL.ExifTags import Base
 
 from tiegraph.scene.exif import orientation_in
-from tiegraph.scene.xmp import XMP_TAG
 
 BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"II*\0", b"MM\0*")  # JPEG, PNG, TIFF and most raw formats
 LARGEST_PX = 1_000_000_000  # bound of memory: PIL refuses more than 179 Mpx; survey cameras and mosaics go beyond
@@ -129,7 +129,7 @@ def _header_of_raw(data: bytes) -> Image.Image | None:
     header = Image.new("1", (1, 1))
     try:
         header.getexif().load(b"II*\0" + data[4:] if data[:2] == b"II" else data)
-        header.info["xmp"] = header.getexif().get(XMP_TAG, b"")
+        header.info["xmp"] = header.getexif().get(Base.XMLPacket, b"")
         return header
     except Exception:  # no TIFF; for a damaged one PIL raises anything from struct.error to SyntaxError
         pass

@@ -1,9 +1,8 @@
-"""Graphs of images and frames: forests, components, cuts, bridges, articulation points, links between groups, and
-the strongest pairs of each image."""
+"""Graphs of images and frames: forests, components, cuts, bridges, articulation points, links between groups, weakly
+tied groups, and the strongest pairs of each image."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -12,8 +11,6 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.text import some
-
-BLOCK = 1 << 22  # links processed together
 
 
 def parts(i: np.ndarray, j: np.ndarray, nodes: int) -> np.ndarray:
@@ -244,42 +241,6 @@ def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """(nodes,) first node of each node's component, after links between nodes (K,) and (K,), a block at a time, are
-    added to those of ``first`` (nodes,), which is modified. The result does not depend on the order of links."""
-    for a, b in links:
-        while len(a):
-            a, b = _roots(first, a), _roots(first, b)
-            apart = a != b
-            a, b = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
-            first[b] = a  # of several partners the last wins; the others come back in the next round
-    while not np.array_equal(further := first[first], first):
-        first = further
-    return first
-
-
-def _roots(first: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(K,) the roots of nodes (K,), which from now on are one step away."""
-    up = first[nodes]
-    while not np.array_equal(higher := first[up], up):
-        up = higher
-    first[nodes] = up
-    return up
-
-
-def blocks(start: np.ndarray) -> Iterator[slice]:
-    """Slices of K rows, about a block each; the links of row k are those from ``start[k]`` to ``start[k + 1]``."""
-    last = len(start) - 1
-    ends = np.searchsorted(start, np.arange(BLOCK, start[-1], BLOCK))
-    for a, b in pairwise(np.unique(np.concatenate([[0], ends, [last]])).tolist()):
-        yield slice(a, b)
-
-
-def spread(first: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """(sum,) the numbers from ``first`` (K,) on, ``count`` (K,) of each."""
-    return np.repeat(first - (np.cumsum(count) - count), count) + np.arange(count.sum())
-
-
 def strongest_pairs(pairs: Pairs, scene: Scene, per_image: int) -> Pairs:
     """The ``per_image`` best kept pairs of each image, those of following frames, and a maximum spanning forest by
     preview matches.
@@ -331,3 +292,100 @@ def _rank(keys: np.ndarray) -> np.ndarray:
     first = np.ones(n, bool)
     first[1:] = np.any(np.diff(keys, axis=1) != 0, axis=0)
     return np.arange(n) - np.maximum.accumulate(np.where(first, np.arange(n), 0))
+
+
+# --- weakly tied groups -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WeaklyTied:
+    """Connected frames, and how many points they share with all the others."""
+
+    frames: tuple[int, ...]
+    points: int
+
+
+def strongest_first(a: np.ndarray, b: np.ndarray, weight: np.ndarray, nodes: int) -> Iterator[np.ndarray]:
+    """The groups that links a, b (K,) between nodes join, the strongest first, each (M,) in rising order and of two
+    nodes at least; links of one weight join in the order of their nodes."""
+    members = {k: np.array([k]) for k in range(nodes)}
+    home = np.arange(nodes)
+    for k in np.lexsort((np.maximum(a, b), np.minimum(a, b), -weight)):
+        one, two = int(home[a[k]]), int(home[b[k]])
+        if one == two:
+            continue
+        members[one] = np.sort(np.concatenate([members[one], members.pop(two)]))
+        home[members[one]] = one
+        yield members[one]
+
+
+def weakly_tied(
+    point: np.ndarray, frame: np.ndarray, present: np.ndarray, least: int, alone: int | None = None
+) -> tuple[WeaklyTied, ...]:
+    """Groups of frames that share fewer than ``least`` points with the others, and single frames with fewer than
+    ``alone`` (None: likewise), the fewest first; no frame is in two.
+
+    point, frame (K,): which frame sees which point. ``present`` (F,) bool: frames that have a pose. Of two sides the
+    smaller is the group. Frames that share ``least`` points are always on one side, so only weak links are tested.
+    """
+    home = _sure(point, frame, len(present), least)
+    seen = _incidence(point, home[frame], len(present))
+    shared = (seen @ seen.T).tocoo()
+    upper = shared.row < shared.col
+    ends, count = (shared.row[upper], shared.col[upper]), shared.data[upper]
+    there = np.unique(home[present])
+    size = np.bincount(home[present], minlength=len(present))
+    asked = [*there[:, None], *strongest_first(ends[0], ends[1], count, len(present))] if len(there) > 1 else []
+    found = []
+    for group in asked:
+        larger = 2 * int(size[group].sum()) + (there[0] in group) > int(present.sum())
+        inside = np.setdiff1d(there, group) if larger else np.intersect1d(there, group)
+        if 0 < len(inside) < len(there):
+            # Points that nodes on both sides see
+            mine = np.asarray(seen[inside].sum(axis=0)).ravel()
+            across = int(np.sum((mine > 0) & (mine < np.asarray(seen.sum(axis=0)).ravel())))
+            frames = np.flatnonzero(present & np.isin(home, inside)).tolist()
+            enough = least if alone is None or len(frames) > 1 else alone
+            found += [WeaklyTied(tuple(frames), across)] if across < enough else []
+    return _disjoint(found)
+
+
+def named(group: WeaklyTied, names: tuple[str, ...]) -> str:
+    """A group in words: the first and last of its frames by ``names`` (F,), and their number."""
+    first, last = names[group.frames[0]], names[group.frames[-1]]
+    return first if len(group.frames) == 1 else f"{first} .. {last} ({len(group.frames)} frames)"
+
+
+def _sure(point: np.ndarray, frame: np.ndarray, frames: int, least: int) -> np.ndarray:
+    """(F,) one number for all frames connected by links of at least so many points, directly or as groups."""
+    home = np.arange(frames)
+    while True:
+        seen = _incidence(point, home[frame], frames)
+        shared = (seen @ seen.T).tocoo()
+        strong = (shared.data >= least) & (shared.row < shared.col)
+        if not strong.any():
+            return home
+        part = parts(shared.row[strong], shared.col[strong], frames)
+        first = np.full(frames, frames)
+        np.minimum.at(first, part, np.arange(frames))
+        home = first[part][home]
+
+
+def _incidence(point: np.ndarray, node: np.ndarray, nodes: int) -> csr_array:
+    """(nodes, P) 1 where a node sees a point that another one sees too."""
+    points = int(point.max(initial=-1)) + 1
+    table = coo_array((np.ones(len(point), np.int64), (node, point)), shape=(nodes, points)).tocsr()
+    table.data[:] = 1
+    several = np.flatnonzero(np.asarray(table.sum(axis=0)).ravel() > 1)
+    return table[:, several]
+
+
+def _disjoint(found: list[WeaklyTied]) -> tuple[WeaklyTied, ...]:
+    """Of groups that have frames in common the one with the fewest points, of equals the larger."""
+    taken: set[int] = set()
+    out = []
+    for group in sorted(set(found), key=lambda g: (g.points, -len(g.frames), g.frames)):
+        if not taken & set(group.frames):
+            taken |= set(group.frames)
+            out.append(group)
+    return tuple(out)

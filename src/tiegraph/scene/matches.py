@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.scene.graph import blocks, unite
 from tiegraph.scene.pairs import pair_key
-from tiegraph.scene.sorting import Arrays, freeze
+from tiegraph.scene.sorting import Arrays, blocks, freeze, unite
 
 
 @dataclass(frozen=True)

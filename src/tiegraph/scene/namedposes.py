@@ -17,8 +17,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.colmapmodel import is_model, matrix, read_model
-from tiegraph.scene.regular import regular
 from tiegraph.text import composed
 
 ACCEPTED = (

@@ -12,8 +12,8 @@ from pathlib import Path
 from xml.parsers import expat
 
 from tiegraph.errors import InputError
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import known_words, says_value
-from tiegraph.scene.regular import regular
 from tiegraph.text import composed
 
 _HEAD = 1 << 14  # characters in which a header is searched for

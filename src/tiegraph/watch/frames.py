@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.rays import normal_matrices
+from tiegraph.geometry.transforms import normal_matrices
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig, pixel_rays
 from tiegraph.scene.scene import Scene

@@ -17,8 +17,7 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import CHANCE, LIMIT, fits_better
-from tiegraph.scene.markpixels import AS_IS, Copy, file_camera, lies_in, prepared_pixel
-from tiegraph.scene.rig import on_plane
+from tiegraph.scene.rig import AS_IS, Copy, file_camera, lies_in, on_plane, prepared_pixel
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import MarkTuning
 
