@@ -26,8 +26,7 @@ from tiegraph.scene.graph import (
     two_links,
     weakly_tied,
 )
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.scene import Scene
 from tiegraph.text import some
 

@@ -19,7 +19,7 @@ from tiegraph.geometry.gravity import levelled
 from tiegraph.geometry.transforms import normal_matrices
 from tiegraph.scene.figures import png
 from tiegraph.scene.graph import parts
-from tiegraph.scene.matches import Visibility
+from tiegraph.scene.pairs import Visibility
 from tiegraph.scene.sorting import Columns, blocks
 
 COLOURS = ("#4c9a6a", "#b3261e", "#d9822b", "#c4a000", "#8e5ea2")  # of VERDICTS

@@ -24,7 +24,7 @@ from tiegraph.errors import InputError
 from tiegraph.scene.atomic import remove, replacing
 from tiegraph.scene.colmapdatabase import copy_verified, explained
 from tiegraph.scene.colmapmodel import rigid3d, sensor_id
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 

@@ -136,7 +136,7 @@ class BlocksTuning(Section):
 
 
 class JoiningTuning(Section):
-    """Models of blocks put into one frame (`joining.py`)."""
+    """Models of blocks put into one frame (`blocks.py`)."""
 
     shared: int = Field(12, ge=3)
     """Least images of two models for a join, which must agree with it."""

@@ -29,11 +29,10 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import geodetic_from_crs
 from tiegraph.scene.bags import is_bag
 from tiegraph.scene.cells import SIGMAS, geotxt, is_file, positions
-from tiegraph.scene.crsline import crs_above, parse_crs_line, say_axes, units_of
 from tiegraph.scene.gnss import solutions, tracks
 from tiegraph.scene.gnss.fixes import EMPTY, HEIGHTS_M, SIGMA_RANGE_M, Gnss, above_ellipsoid, judged
 from tiegraph.scene.table import Table, table_of
-from tiegraph.scene.textfile import decoded, filled_lines, whole_file
+from tiegraph.scene.textfile import crs_above, decoded, filled_lines, parse_crs_line, say_axes, units_of, whole_file
 from tiegraph.scene.times import times_of
 from tiegraph.scene.tuning import GnssTuning
 
