@@ -1,7 +1,7 @@
 """How upright level photographs stand: ``python -m benchmarks.sfm.upright [RUN]`` (needs TIEGRAPH_DATA).
 
 Strecha's facades and the boat of `canal_demo`, all its cameras and one, by their true poses, against the vertical of
-the set: what ``geometry.gravity`` says, the mean of the tops, and one least-squares fit of tops and x axes. With the
+the set: what ``geometry.align`` says, the mean of the tops, and one least-squares fit of tops and x axes. With the
 folder of a run of oppaiyama: the plane of its four surveyed points, which lie at one height to 0.1 m over 2 m, by
 their marks.
 """
@@ -20,7 +20,7 @@ import tiegraph  # noqa: F401  before pycolmap
 import pycolmap  # isort: skip
 
 from benchmarks import datasets
-from tiegraph.geometry.gravity import UpTuning, up_vector
+from tiegraph.geometry.align import UpTuning, up_vector
 
 _WEIGHTS = (0.001, 0.01, 0.05)  # of the tops in one fit
 

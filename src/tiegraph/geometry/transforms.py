@@ -1,4 +1,5 @@
-"""Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``; NaN = unknown."""
+"""Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``, NaN = unknown; rays as unit
+vectors in a camera's frame."""
 
 from typing import Any
 
@@ -101,32 +102,28 @@ def angle_deg(rotation_a: np.ndarray, rotation_b: np.ndarray) -> np.ndarray:
 
 def interpolate(time_s: np.ndarray, transforms: np.ndarray, at_s: np.ndarray, max_gap_s: float = np.inf) -> np.ndarray:
     """Rigid transforms (T, 4, 4) at sorted times (T,), slerped/lerped to times (K,): (K, 4, 4), NaN outside or across a
-    gap wider than ``max_gap_s``."""
+    gap wider than ``max_gap_s``; at one of the times (to a microsecond) its own."""
     out = np.full((len(at_s), 4, 4), np.nan)
     if len(time_s) == 0:
         return out
-    right = np.clip(np.searchsorted(time_s, at_s), 1, max(len(time_s) - 1, 1))
-    for k, t in enumerate(at_s):
-        if not np.isfinite(t):
-            continue
-        exact = np.flatnonzero(np.abs(time_s - t) < 1e-6)
-        if len(exact):
-            out[k] = transforms[exact[0]]
-            continue
-        if len(time_s) < 2:
-            continue
-        b, a = right[k], right[k] - 1
-        gap = time_s[b] - time_s[a]
-        if not time_s[a] <= t <= time_s[b] or gap > max_gap_s:
-            continue
-        u = (t - time_s[a]) / gap
-        step = Rotation.from_matrix(transforms[a, :3, :3].T @ transforms[b, :3, :3]).as_rotvec()
-        rotation = transforms[a, :3, :3] @ Rotation.from_rotvec(u * step).as_matrix()
-        out[k] = rigid(rotation, (1 - u) * transforms[a, :3, 3] + u * transforms[b, :3, 3])
+    known = np.isfinite(at_s)
+    first = np.searchsorted(time_s, np.where(known, at_s, 0.0) - 1e-6, side="right")
+    exact = np.minimum(first, len(time_s) - 1)
+    same = known & (np.abs(time_s[exact] - at_s) < 1e-6)
+    out[same] = transforms[exact[same]]
+    if len(time_s) < 2:
+        return out
+    b = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
+    gap = time_s[b] - time_s[b - 1]
+    inside = known & ~same & (time_s[b - 1] <= at_s) & (at_s <= time_s[b]) & (gap <= max_gap_s)
+    if not inside.any():
+        return out
+    before, after = transforms[b[inside] - 1], transforms[b[inside]]
+    u = ((at_s - time_s[b - 1])[inside] / gap[inside])[:, None]
+    step = Rotation.from_matrix(np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]).as_rotvec()
+    turn = before[:, :3, :3] @ Rotation.from_rotvec(u * step).as_matrix()
+    out[inside] = rigid(turn, (1 - u) * before[:, :3, 3] + u * after[:, :3, 3])
     return out
-
-
-# --- rays ------------------------------------------------------------
 
 
 def unit_rays(plane: np.ndarray) -> np.ndarray:

@@ -30,11 +30,17 @@ _PLY = (
     ("red", "u1", "uchar"), ("green", "u1", "uchar"), ("blue", "u1", "uchar"),
     ("sigma_m", "<f4", "float"), ("views", "u1", "uchar"),
 )  # fmt: skip
-_PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
-}  # fmt: skip
+_C_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+_PLY_TYPES = _C_TYPES | {np.dtype(kind).name: kind for kind in _C_TYPES.values()}
 
 
 def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
@@ -62,7 +68,9 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
         if path.suffix.lower() == ".ply":
             return _read_ply(path, origin)
         if path.suffix.lower() in (".las", ".laz"):
-            return _read_las(path, origin)
+            refuse_cut_las(path)
+            las = laspy.read(path)
+            return las_cloud(las.points, las.header, origin)
     except InputError:
         raise
     except Exception as error:  # laspy and lazrs raise many kinds for damaged files
@@ -193,12 +201,6 @@ def refuse_cut_las(path: Path) -> None:
         )
 
 
-def _read_las(path: Path, origin: Origin | None) -> Cloud:
-    refuse_cut_las(path)
-    las = laspy.read(path)
-    return las_cloud(las.points, las.header, origin)
-
-
 def las_cloud(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader, origin: Origin | None) -> Cloud:
     """The cloud of point records; see ``read_cloud``."""
     xyz = np.stack([np.asarray(points.x), np.asarray(points.y), np.asarray(points.z)], axis=1).astype(float)
@@ -278,8 +280,6 @@ def _read_ply(path: Path, origin: Origin | None) -> Cloud:
     with open(path, "rb") as file:
         header = _read_ply_header(file, path)
         rows = np.concatenate(list(_ply_rows_of(file, path, header, max(header.count, 1))))
-    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
-        raise InputError(f"{path}: its vertices have no x, y, z")
     xyz = np.stack([rows[c].astype(float) for c in "xyz"], axis=1)
     names = rows.dtype.names or ()
     rgb = np.full((len(rows), 3), 128, np.uint8)
@@ -326,6 +326,8 @@ def _read_ply_header(file: BinaryIO, path: Path) -> _PlyHeader:
             properties.append((words[2], _PLY_TYPES[words[1]]))
         elif words[:1] == ["comment"] and len(words) > 2:
             comments[words[1]] = words[2:]
+    if not {"x", "y", "z"} <= {name for name, _ in properties}:
+        raise InputError(f"{path}: its vertices have no x, y, z")
     return _PlyHeader(kind=kind, count=count, properties=properties, origin=_ply_origin(comments))
 
 
@@ -341,10 +343,7 @@ def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
 def ply_parts(path: Path, most: int) -> Iterator[np.ndarray]:
     """The vertices of a PLY file, at most ``most`` at a time, as records with x, y, z. Raises InputError."""
     with open(path, "rb") as file:
-        header = _read_ply_header(file, path)
-        if not {"x", "y", "z"} <= {name for name, _ in header.properties}:
-            raise InputError(f"{path}: its vertices have no x, y, z")
-        yield from _ply_rows_of(file, path, header, most)
+        yield from _ply_rows_of(file, path, _read_ply_header(file, path), most)
 
 
 def _ply_rows_of(file: BinaryIO, path: Path, header: _PlyHeader, most: int) -> Iterator[np.ndarray]:

@@ -103,9 +103,7 @@ class Rows:
             model, params = pycolmap.CameraModelId(model), np.frombuffer(params)
             cameras[key] = pycolmap.Camera(camera_id=key, model=model, width=width, height=height, params=params)
             cameras[key].has_prior_focal_length = bool(prior)
-        return {
-            image: cameras[key] for image, key in self._connection.execute("SELECT image_id, camera_id FROM images")
-        }
+        return {k: cameras[c] for k, c in self._connection.execute("SELECT image_id, camera_id FROM images")}
 
 
 def _images(pair_id: int) -> tuple[int, int]:
@@ -326,9 +324,7 @@ def explained(path: Path, error: Exception) -> TiegraphError:
     told = limits.explained(error, path.parent) or limits.explained_text(text, path.parent)
     if told is not None:
         return type(told)(f"{path} cannot be written: {told}")
-    if (
-        "disk I/O" in text or "factory" in text or "readonly" in text or "unable to open" in text
-    ):  # all that COLMAP reports of its reason
+    if any(word in text for word in ("disk I/O", "factory", "readonly", "unable to open")):  # all that COLMAP reports
         return InputError(f"{path} cannot be written ({text}): is the disk full or the folder read-only?")
     if "locked" in text:
         return TiegraphError(f"{path} is in use by another program ({text}): close it and run again")

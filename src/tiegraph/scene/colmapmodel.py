@@ -1,5 +1,5 @@
 """COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), converted to arrays by the
-scene's images and sensors; which images are registered, for all counts.
+scene's images and sensors; which images are registered, for all counts; how Ceres solves their adjustments.
 
 A pose alone proves nothing: COLMAP registers a frame with all the cameras of its rig, also with those that see no point
 at all (27 images of a drone rig over forest). An image is *registered* if it sees at least 10 points with residuals
@@ -8,7 +8,7 @@ below 4 px; one that has a pose but not these is *placed by the rig*, and is cou
 
 import shutil
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -131,7 +131,7 @@ def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:
         for _ in range(_U64.unpack_from(data)[0]):
             at = end_of(data, at)
     except (struct.error, LookupError, OverflowError, ValueError):  # past the end, no end of a name, no such camera
-        raise InputError(f"{path}: the file is cut off or damaged; make the model again") from None
+        at = -1
     if at != len(data):
         raise InputError(f"{path}: the file is cut off or damaged; make the model again")
 
@@ -234,8 +234,7 @@ def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.nda
 
 def model_centres(reconstruction: pycolmap.Reconstruction) -> np.ndarray:
     """(K, 3) projection centres of the images that have a pose."""
-    found = [i.projection_center() for i in reconstruction.images.values() if i.has_pose]
-    return np.array(found).reshape(-1, 3)
+    return np.array([i.projection_center() for i in reconstruction.images.values() if i.has_pose]).reshape(-1, 3)
 
 
 def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -267,22 +266,17 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
     """The scene's rigs with the cameras and extrinsics of a model (its units); others stay as given."""
     out = []
     for index, (first, rig) in enumerate(scene.keyed_rigs):
-        sensors = [
-            replace(s, camera=_get(reconstruction.cameras, key, s.camera))
-            for key, s in enumerate(rig.sensors, start=first + 1)
-        ]
-        held = _get(reconstruction.rigs, index + 1, None)
-        ids = [sensor_id(first + k + 1) for k in range(len(sensors))]
+        numbers = range(first + 1, first + 1 + len(rig.sensors))
+        cameras = [reconstruction.cameras[k] if k in reconstruction.cameras else None for k in numbers]
+        sensors = [replace(s, camera=c or s.camera) for s, c in zip(rig.sensors, cameras)]
+        held = reconstruction.rigs[index + 1] if index + 1 in reconstruction.rigs else None
+        ids = [sensor_id(k) for k in numbers]
         if held is not None and held.is_ref_sensor(ids[0]):
             for k in range(1, len(sensors)):
                 if held.has_sensor_from_rig(ids[k]):
                     sensors[k] = replace(sensors[k], sensor_from_rig=matrix(held.sensor_from_rig(ids[k])))
         out.append(replace(rig, sensors=tuple(sensors)))
     return tuple(out)
-
-
-def _get(table: Any, key: int, otherwise: Any) -> Any:
-    return table[key] if key in table else otherwise
 
 
 # --- registered images ------------------------------------------------------------------------------------------------
@@ -336,3 +330,71 @@ def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
     place = np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead]), float)
     off = np.linalg.norm(place - np.array([p.xy for p in asked])[ahead], axis=1)
     return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN counts as disagreement
+
+
+# --- adjustments ------------------------------------------------------------------------------------------------------
+
+
+# COLMAP replaces the sparse factorisation by an iterative solver at 1000 images, rig or not. Factorised are
+# the frames, and in surveys each sees few others: a corridor of 2000 images in 500 frames took five times the time of
+# one of 1000 (benchmarks/sfm/README.md). Above this number the fill-in of loose collections might not fit into memory.
+MOST_FRAMES = 10_000
+# Ceres adds up the parts of its threads in the order they come (github.com/ceres-solver/ceres-solver/issues/664): with
+# two, no run is like another. One thread gives every run and every machine's number of cores the same sums. (Costs
+# written in Python would wait for each other anyway: the thread that solves holds the interpreter's lock.)
+THREADS = 1
+
+
+def options_of(
+    iterations: int, tolerance: float | None = None, robust_px: float | None = None, **refine: bool
+) -> pycolmap.BundleAdjustmentOptions:
+    """Options of an adjustment with reproducible bits: at most ``iterations``, until the cost changes by a relative
+    amount less than ``tolerance``, with Cauchy's loss of scale ``robust_px``, if these are given;
+    ``refine_...``: parameters adjusted that COLMAP would hold, or the other way round."""
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False, **refine)
+    if robust_px is not None:
+        _change(options, loss_function_type=pycolmap.LossFunctionType.CAUCHY, loss_function_scale=robust_px)
+    limits = {} if tolerance is None else {"function_tolerance": tolerance}
+    _change(options, {"max_num_iterations": iterations, **limits})
+    repeatable(options)
+    return options
+
+
+def _change(options: pycolmap.BundleAdjustmentOptions, solver: Mapping[str, Any] | None = None, **ceres: Any) -> None:
+    """Set options of Ceres and of its solver; pycolmap returns copies of them."""
+    own = options.ceres
+    inner = own.solver_options
+    for name, value in (solver or {}).items():
+        setattr(inner, name, value)
+    own.solver_options = inner
+    for name, value in ceres.items():
+        setattr(own, name, value)
+    options.ceres = own
+
+
+def all_images(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
+    """An adjustment of all images that have a pose."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    return config
+
+
+def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
+    """Make an adjustment of so many frames and images factorise, unless it is too large, and always the same sums."""
+    if frames <= MOST_FRAMES:
+        most = max(options.ceres.max_num_images_direct_sparse_cpu_solver, images)
+        _change(options, max_num_images_direct_sparse_cpu_solver=most)
+    repeatable(options)
+
+
+def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Make an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
+    _change(options, {"num_threads": THREADS}, use_gpu=False)
+
+
+def undamped(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Make an adjustment of a model that was adjusted before begin with whole steps: few suffice at any length."""
+    # Ceres' own 1e4 damps what single observations hardly tell and all together do: where positions want a long model
+    # to lie, and how it bends
+    _change(options, {"initial_trust_region_radius": 1e7})

@@ -19,7 +19,7 @@ from tiegraph.geometry.geodesy import (
 from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.gnss.fixes import HEIGHTS_M, beyond
 from tiegraph.scene.names import found_by, lookup_of
-from tiegraph.scene.rig import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
+from tiegraph.scene.rig import AS_IS, EDGE_PX, Copy, file_camera, prepared_pixel, within
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import some
@@ -229,7 +229,7 @@ def _marks_in(
         xy = prepared_pixel(mark.xy, sensor)
         if known is not mark:
             continue
-        if inside and not lies_in(xy, sensor):
+        if inside and not within(xy, sensor.camera):
             cut.append(mark)
             continue
         marks.append((mark, index, xy))
@@ -246,11 +246,11 @@ def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned
     at = [(file.marks[row], k, scene.sensor_of(k)) for row, k in images.items()]
 
     def fit(copy: Copy) -> bool:
-        return all(in_file(copy.pixel(m.xy, s, turned.get(k, 1)), s) for m, k, s in at)
+        return all(within(copy.pixel(m.xy, s, turned.get(k, 1)), file_camera(s)) for m, k, s in at)
 
     if fit(AS_IS):
         return True
-    out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not in_file(m.xy, s)]
+    out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not within(m.xy, camera)]
     wide, high = (any(m.xy[i] > (c.width, c.height)[i] + EDGE_PX for m, _, c in out) for i in (0, 1))
     # only marks in larger images leave the image in both directions: not a typing error, not exchanged columns
     sizes = (1.0, file.largest_copy) if wide and high else (1.0,)

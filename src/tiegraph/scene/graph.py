@@ -92,7 +92,10 @@ def cuts(a: np.ndarray, b: np.ndarray, nodes: int, double: np.ndarray | None = N
     """Bridges and articulation points of a graph of links a, b (K,) without parallels; a link that is ``double`` (K,)
     is no bridge. Depth first search (Tarjan 1972) without recursion."""
     double = np.zeros(len(a), bool) if double is None else double
-    start, other, link = _adjacency(a, b, nodes)
+    ends = np.concatenate([a, b])
+    around = np.argsort(ends, kind="stable")
+    start = np.r_[0, np.cumsum(np.bincount(ends.astype(np.int64), minlength=nodes))].tolist()
+    other, link = np.concatenate([b, a])[around].tolist(), np.tile(np.arange(len(a)), 2)[around].tolist()
     found, low, size, parent = [-1] * nodes, [0] * nodes, [1] * nodes, [-1] * nodes
     into = [-1] * nodes  # link to the parent
     place = start.copy()
@@ -122,13 +125,6 @@ def cuts(a: np.ndarray, b: np.ndarray, nodes: int, double: np.ndarray | None = N
             size[parent[v]] += size[v]
             low[parent[v]] = min(low[parent[v]], low[v])
     return _judged(np.array([parent, into, found, low, size]), parts(a, b, nodes), double)
-
-
-def _adjacency(a: np.ndarray, b: np.ndarray, nodes: int) -> tuple[list[int], list[int], list[int]]:
-    ends = np.concatenate([a, b])
-    order = np.argsort(ends, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(ends.astype(np.int64), minlength=nodes))])
-    return start.tolist(), np.concatenate([b, a])[order].tolist(), np.tile(np.arange(len(a)), 2)[order].tolist()
 
 
 def _judged(tree: np.ndarray, part: np.ndarray, double: np.ndarray) -> Cuts:
@@ -163,20 +159,14 @@ class Group:
 
 def groups(scene: Scene) -> Iterator[Group]:
     """Cameras, passes and sections of a scene, each kind only where there are at least two of it."""
-    names = [s.name for s in scene.all_sensors]
-    for kind, label in (
-        ("camera", scene.sensor_key),
-        ("pass", scene.sequence[scene.frame]),
-        ("section", scene.section[scene.frame]),
+    for kind, label, names in (
+        ("camera", scene.sensor_key, [s.name for s in scene.all_sensors]),
+        ("pass", scene.sequence[scene.frame], scene.sequences),
+        ("section", scene.section[scene.frame], ()),
     ):
         numbers = np.unique(label)
-        if len(numbers) < 2:
-            continue
-        for k in numbers[numbers >= 0]:
-            name = (
-                names[k] if kind == "camera" else scene.sequences[k] if kind == "pass" and scene.sequences else f"{k}"
-            )
-            yield Group(kind, name, label == k)
+        for k in numbers[numbers >= 0] if len(numbers) > 1 else []:
+            yield Group(kind, names[k] if names else f"{k}", label == k)
 
 
 def two_links(i: np.ndarray, j: np.ndarray, member: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -219,8 +209,7 @@ def components(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) component of every image in the graph of kept pairs, the largest is 0."""
     kept = pairs.kept()
     labels = parts(kept.i, kept.j, images)
-    size = np.bincount(labels, minlength=1)
-    return np.argsort(np.argsort(-size, kind="stable"))[labels]
+    return np.argsort(np.argsort(-np.bincount(labels, minlength=1), kind="stable"))[labels]
 
 
 def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:

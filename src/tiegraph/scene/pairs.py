@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.figures import table
 from tiegraph.scene.names import plain_name
+from tiegraph.scene.results import table
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Arrays, Columns, blocks, freeze, unite
 from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, split_cells, text_of

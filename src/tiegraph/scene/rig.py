@@ -253,20 +253,11 @@ def file_camera(sensor: Sensor) -> pycolmap.Camera | None:
     return None if source.rendered else source.camera or sensor.camera
 
 
-def in_file(xy: Sequence[float], sensor: Sensor) -> bool:
-    """Whether a pixel is in the user's image of a sensor."""
-    camera = file_camera(sensor)
-    return camera is None or within(xy, camera)
-
-
-def lies_in(xy: Sequence[float], sensor: Sensor) -> bool:
-    """Whether a pixel is in the prepared image of a sensor."""
-    return sensor.camera is None or within(xy, sensor.camera)
-
-
-def within(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
-    """Whether a pixel is in the image of a camera, or at its edge."""
-    return -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
+def within(xy: Sequence[float], camera: pycolmap.Camera | None) -> bool:
+    """Whether a pixel is in the image of a camera, or at its edge; it is if the camera is unknown."""
+    return (
+        camera is None or -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
+    )
 
 
 def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:

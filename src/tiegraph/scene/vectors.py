@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scene.cells import number
 
 Layer = list[dict[str, Any]]
 _WRITTEN = "1970-01-01T00:00:00.000Z"  # the date in a GeoPackage: the same data, the same bytes
@@ -69,7 +70,8 @@ def read_shapes(path: Path, kind: str, axes: int = 2) -> Shapes:
             parts, crs = [_table(path)], None
         elif ending in (".geojson", ".json"):
             data = json.loads(path.read_text(encoding="utf-8"))
-            parts, crs = _parts(data, kind, axes), _named(data)
+            named = (data.get("crs") or {}).get("properties", {})  # in older GeoJSON; by RFC 7946 it is WGS84
+            parts, crs = _parts(data, kind, axes), str(named.get("name", "OGC:CRS84"))
         else:
             parts, crs = _by_gdal(path, kind, axes)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
@@ -82,15 +84,8 @@ def read_shapes(path: Path, kind: str, axes: int = 2) -> Shapes:
 
 def _table(path: Path) -> np.ndarray:
     rows = [line.replace(";", ",").split(",") for line in path.read_text(encoding="utf-8").splitlines()]
-    first = 0 if _is_number(rows[0][0]) else 1  # a row of names
+    first = 0 if np.isfinite(number(rows[0][0])) else 1  # a row of names
     return _open(np.array([[float(v) for v in row[:2]] for row in rows[first:] if "".join(row).strip()]))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(float(text)))
-    except ValueError:
-        return False
 
 
 def _open(vertices: np.ndarray) -> np.ndarray:
@@ -117,11 +112,6 @@ def _parts(data: dict[str, Any], kind: str, axes: int) -> list[np.ndarray]:
         found = [np.array([c[:axes] for c in part], float).reshape(-1, axes) for part in each]
         out += found if kind == "line" else [_open(p) for p in found]
     return out
-
-
-def _named(data: dict[str, Any]) -> str:
-    """The CRS in older GeoJSON; by RFC 7946 it is WGS84."""
-    return str((data.get("crs") or {}).get("properties", {}).get("name", "OGC:CRS84"))
 
 
 def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | None]:
