@@ -205,17 +205,13 @@ def cached_by_file(maxsize: int, file: Callable[..., Any] | None = None) -> Call
 
         @functools.wraps(function)
         def call(*args: Any) -> Any:
-            return kept(_stamp_of(args[0] if file is None else file(*args)), *args)
+            try:
+                info = os.stat(args[0] if file is None else file(*args))
+            except OSError:
+                return kept(None, *args)  # the function reports the error
+            return kept((info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns), *args)
 
         call.cache_clear = kept.cache_clear  # type: ignore[attr-defined]
         return call
 
     return decorate
-
-
-def _stamp_of(path: Any) -> tuple[int, ...] | None:
-    try:
-        info = os.stat(path)
-    except OSError:
-        return None  # the function reports the error
-    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns

@@ -68,24 +68,15 @@ def carrying(scene: Scene) -> Scene:
 def _check(rig: Rig) -> None:
     """Raise InputError for a rig that cannot give poses to dependent cameras."""
     wide = next(s.name for s in rig.sensors if s.role == WIDE)
-    if rig.sensors[0].role != WIDE:
-        raise ValueError("a rig's wide cameras come first")
-    remedy = "calibrate the rig (`tiegraph calibrate`), or omit role = 'wide'"
-    if rig.nominal:
-        raise InputError(
-            f"rig {rig.name!r}: {wide} is wide, so that the others depend on the rig, but it is nominal: {remedy}"
-        )
+    faults = ["the others depend on the rig, but it is nominal"] if rig.nominal else []
     for sensor in rig.sensors:
         if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
-            raise InputError(
-                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} depends on the rig, but its pose relative to "
-                f"{wide} is unknown: {remedy}"
-            )
-        if sensor.role != WIDE and (sensor.camera is None or not sensor.camera.has_prior_focal_length):
-            raise InputError(
-                f"rig {rig.name!r}: {wide} is wide, so that {sensor.name} depends on the rig, but its lens is not "
-                f"calibrated: {remedy}"
-            )
+            faults.append(f"{sensor.name} depends on the rig, but its pose relative to {wide} is unknown")
+        elif sensor.role != WIDE and (sensor.camera is None or not sensor.camera.has_prior_focal_length):
+            faults.append(f"{sensor.name} depends on the rig, but its lens is not calibrated")
+    if faults:
+        remedy = "calibrate the rig (`tiegraph calibrate`), or omit role = 'wide'"
+        raise InputError(f"rig {rig.name!r}: {wide} is wide, so that {faults[0]}: {remedy}")
 
 
 def with_hanging(model: pycolmap.Reconstruction, whole: Scene) -> pycolmap.Reconstruction:

@@ -57,15 +57,6 @@ class _Spill:
     start: np.ndarray
     count: np.ndarray
 
-    def nodes(self) -> Iterator[tuple[np.ndarray, bytes]]:
-        """(key, records) of each node, coarse ones first."""
-        node = row_numbers(self.keys.T) if len(self.keys) else np.zeros(0, int)
-        order = order_of(node)
-        begin = run_starts(node[order])
-        for first, last in zip(begin, np.r_[begin[1:], len(order)]):
-            runs = [self.rows[self.start[r] : self.start[r] + self.count[r]].tobytes() for r in order[first:last]]
-            yield self.keys[order[first]], b"".join(runs)
-
 
 def write_copc(
     parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float, scratch: Path, said: str = ""
@@ -153,23 +144,25 @@ def _write(
 
 
 def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> list[np.ndarray]:
-    """Write each node as a chunk; the nodes in their order."""
+    """Write each node as a chunk, coarse ones first; the nodes in their order."""
     compressor = lazrs.ParLasZipCompressor(out, laz)
     compressor.reserve_offset_to_chunk_table()
-    keys: list[np.ndarray] = []
+    node = row_numbers(spill.keys.T) if len(spill.keys) else np.zeros(0, int)
+    order = order_of(node)
+    begin = run_starts(node[order])
     held: list[bytes] = []
     points = 0
-    for key, records in spill.nodes():
-        keys.append(key)
-        held.append(records)
-        points += len(records) // size
+    for first, last in zip(begin, np.r_[begin[1:], len(order)]):
+        runs = [spill.rows[spill.start[r] : spill.start[r] + spill.count[r]].tobytes() for r in order[first:last]]
+        held.append(b"".join(runs))
+        points += len(held[-1]) // size
         if points > 2_000_000:  # points compressed at once
             compressor.compress_chunks(held)
             held, points = [], 0
     if held:
         compressor.compress_chunks(held)
     compressor.done()
-    return keys
+    return list(spill.keys[order[begin]])
 
 
 def _entries(out: BinaryIO, laz: lazrs.LazVlr, keys: list[np.ndarray], first: int) -> np.ndarray:

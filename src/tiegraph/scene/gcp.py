@@ -236,9 +236,6 @@ def _is_header(line: str) -> bool:
     return known_words(names) > 2 or names_bars(names)
 
 
-# --- OpenDroneMap ---------------------------------------------------------------------------------------------------
-
-
 def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
     more = f"; the first line of a gcp_list.txt is one; that of a CSV is a header: {FORMS}"
     crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}", more)
@@ -277,9 +274,6 @@ def _number(text: str, path: Path, line: int) -> float:
     if not np.isfinite(value):
         raise InputError(f"{path}, line {line}: {text!r:.99} is no number")
     return value
-
-
-# --- CSV ------------------------------------------------------------------------------------------------------------
 
 
 def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:

@@ -348,7 +348,7 @@ def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:
     rows: dict[tuple[int, int], int] = {}
     ignored: dict[str, list[int]] = {"self pairs": [], "repeated pairs": []}  # lines of each
     for number, words in pair_lines(path):
-        i, j = sorted(_pair_of(words, f"{path}, line {number}", scene))
+        i, j = sorted(_image_of(plain_name(word), f"{path}, line {number}", scene) for word in words)
         if i == j:
             ignored["self pairs"].append(number)
         elif rows.setdefault((i, j), number) != number:
@@ -382,15 +382,11 @@ def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
     return out
 
 
-def _pair_of(words: list[str], place: str, scene: Scene) -> tuple[int, int]:
-    index = []
-    for name in words:
-        name = plain_name(name)
-        if name not in scene.image_index:
-            near = difflib.get_close_matches(name, scene.names, n=1, cutoff=0.3)
-            hint = f"; perhaps {near[0]!r}?" if near else ""
-            lost = next((d.reason for d in scene.dropped if d.name == name), None)
-            why = f" (left out by scan: {lost})" if lost else hint
-            raise InputError(f"{place}: the survey has no image {name!r}{why}")
-        index.append(scene.image_index[name])
-    return index[0], index[1]
+def _image_of(name: str, place: str, scene: Scene) -> int:
+    if name in scene.image_index:
+        return scene.image_index[name]
+    near = difflib.get_close_matches(name, scene.names, n=1, cutoff=0.3)
+    hint = f"; perhaps {near[0]!r}?" if near else ""
+    lost = next((d.reason for d in scene.dropped if d.name == name), None)
+    why = f" (left out by scan: {lost})" if lost else hint
+    raise InputError(f"{place}: the survey has no image {name!r}{why}")

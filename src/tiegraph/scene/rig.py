@@ -232,7 +232,10 @@ class Copy:
         if not self.turned or camera is None:
             return x, y
         size = (camera.height, camera.width) if orientation >= 5 else (camera.width, camera.height)  # of the copy
-        return _turned((x, y), size, orientation if source.upright else {6: 8, 8: 6}.get(orientation, orientation))
+        turn = orientation if source.upright else {6: 8, 8: 6}.get(orientation, orientation)  # EXIF's, to upright
+        x = size[0] - x if turn in (2, 3, 7, 8) else x
+        y = size[1] - y if turn in (3, 4, 6, 7) else y
+        return (y, x) if turn >= 5 else (x, y)
 
     def like(self, other: "Copy") -> bool:
         """Whether it has nearly the same size and the same orientation."""
@@ -284,10 +287,3 @@ def _moved(xy: tuple[float, float], sensor: Sensor, way: int) -> tuple[float, fl
             return float(moved[0]), float(moved[1])
     left, top, _, _ = source.crop_px
     return xy[0] - way * left, xy[1] - way * top
-
-
-def _turned(xy: tuple[float, float], size: tuple[int, int], orientation: int) -> tuple[float, float]:
-    """Pixel in an image made upright by EXIF's orientation, of one in the image before, of ``size``."""
-    x = size[0] - xy[0] if orientation in (2, 3, 7, 8) else xy[0]
-    y = size[1] - xy[1] if orientation in (3, 4, 6, 7) else xy[1]
-    return (y, x) if orientation >= 5 else (x, y)

@@ -186,8 +186,11 @@ def times_of(table: Table) -> Times | None:
     seconds of it.
     """
     week, column = table.find("GPS week"), table.find("time")
-    if column is not None and (week is None or not _within_a_week(table, column)):
-        return times_in(table, column)
+    if column is not None:
+        known = np.zeros(0) if week is None else table.numbers(column)
+        known = known[np.isfinite(known)]
+        if not len(known) or not np.all((known >= 0) & (known <= WEEK_S + _OVER_S)):
+            return times_in(table, column)
     column = table.find("seconds of the week") if column is None else column
     if column is not None:
         return _of_week(table, week, column)
@@ -226,13 +229,6 @@ def _seconds(table: Table, column: int, date: int | None = None) -> np.ndarray:
     unit = UNIT_S.get(table.unit(column))
     seconds = in_seconds(seconds) if unit in (None, 1.0) else seconds * unit
     return np.where(np.abs(seconds) <= TIME_LIMIT_S, seconds, np.nan)
-
-
-def _within_a_week(table: Table, column: int) -> bool:
-    """Whether a column has numbers that can be seconds of a week."""
-    numbers = table.numbers(column)
-    known = numbers[np.isfinite(numbers)]
-    return bool(len(known)) and bool(np.all((known >= 0) & (known <= WEEK_S + _OVER_S)))
 
 
 def _named_gps(table: Table, week: int | None, column: int) -> Times:

@@ -329,7 +329,7 @@ def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panoram
 
     The middle of the panorama is straight ahead (z), its upper border the zenith (-y).
     """
-    x, y = _map(_key(camera, view_from_panorama), panorama.shape[1], panorama.shape[0])
+    x, y = _map(frozen(camera), tuple(np.ravel(view_from_panorama)), panorama.shape[1], panorama.shape[0])
     out = cv2.remap(panorama, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
     if out.shape[2:] == (4,):
         out[..., 3] = np.where(out[..., 3] == 255, 255, 0)
@@ -339,21 +339,17 @@ def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panoram
 def seen(sphere: Sphere, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> float:
     """Share of a view within a picture, by 65 x 65 of its pixels."""
     small = pycolmap.Camera(camera.todict())
-    small.rescale(_LOOK, _LOOK)
-    return float(sphere.holds(*_map(_key(small, view_from_panorama), sphere.width, sphere.width // 2)).mean())
-
-
-_LOOK = 65  # a degree and a half
-
-
-def _key(camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> tuple:
-    intrinsics = tuple(camera.calibration_matrix()[[0, 1, 0, 1], [0, 1, 2, 2]])
-    return tuple(np.ravel(view_from_panorama)), intrinsics, (camera.width, camera.height)
+    small.rescale(65, 65)  # a degree and a half
+    places = _map(frozen(small), tuple(np.ravel(view_from_panorama)), sphere.width, sphere.width // 2)
+    return float(sphere.holds(*places).mean())
 
 
 @lru_cache(maxsize=6)  # the views of one panorama are made one after another
-def _map(key: tuple, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    rotation, (fx, fy, cx, cy), (columns, rows) = key
+def _map(pinhole: tuple, rotation: tuple[float, ...], width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """x, y (H, W) f4 of a view's pixels in a panorama of a size, in OpenCV's convention."""
+    model, columns, rows, params = pinhole
+    view = pycolmap.Camera(model=model, width=columns, height=rows, params=params)
+    fx, fy, cx, cy = view.calibration_matrix()[[0, 1, 0, 1], [0, 1, 2, 2]]
     u = (np.arange(columns) + 0.5 - cx) / fx
     v = (np.arange(rows) + 0.5 - cy) / fy
     rays = np.stack([*np.meshgrid(u, v), np.ones((rows, columns))], axis=-1) @ np.reshape(rotation, (3, 3))

@@ -83,7 +83,9 @@ def read_geotxt(path: Path, raw: bytes) -> Gnss:
 
 
 def _fixes(table: Table, crs: pyproj.CRS | None) -> Gnss:
-    image, notes = _image(table), list(table.notes)
+    notes, column, image = list(table.notes), table.find("name"), table.find("image")
+    if image is None and (is_file(table.cell(0, column)) or times_of(table) is None):
+        image = column  # of names or labels, if these are files, or there are no times
     times = times_of(table) if image is None else None
     llh, used = _places(table, crs, [] if image is not None or times is not None else ["time (or image)"], notes)
     sigma = _sigma(table, notes)
@@ -95,7 +97,10 @@ def _fixes(table: Table, crs: pyproj.CRS | None) -> Gnss:
     def text_of(row: int, what: str) -> str:
         if what == "time":
             return table.cell(row, times.column if times else None)
-        return table.cell(row, _worst(table, row) if what == "accuracy" else columns[what])
+        if what == "accuracy":  # the one that shows that a row has no position
+            sigmas = [c for s in SIGMAS if (c := table.find(s)) is not None]
+            return table.cell(row, next((c for c in sigmas if table.metres(c)[row] > SIGMA_RANGE_M[1]), None))
+        return table.cell(row, columns[what])
 
     return Gnss(
         path=table.path,
@@ -157,20 +162,6 @@ def _geodetic(crs: pyproj.CRS, xyz: np.ndarray, table: Table) -> np.ndarray:
         )
     out[np.isnan(z), 2] = np.nan
     return out
-
-
-def _image(table: Table) -> int | None:
-    """The column of images: one with that name; one of names or labels if these are files, or there are no times."""
-    column = table.find("name")
-    files = is_file(table.cell(0, column))
-    found = table.find("image")
-    return found if found is not None else column if files or times_of(table) is None else None
-
-
-def _worst(table: Table, row: int) -> int | None:
-    """The column whose accuracy shows that a row has no position."""
-    found = [c for c in (table.find(s) for s in SIGMAS) if c is not None]
-    return next((c for c in found if table.metres(c)[row] > SIGMA_RANGE_M[1]), None)
 
 
 def _sigma(table: Table, notes: list[str]) -> np.ndarray:
