@@ -20,7 +20,7 @@ import tiegraph  # noqa: F401  before pycolmap
 import pycolmap  # isort: skip
 
 from benchmarks import datasets
-from tiegraph.geometry.align import UpTuning, up_vector
+from tiegraph.geometry.gravity import UpTuning, up_vector
 
 _WEIGHTS = (0.001, 0.01, 0.05)  # of the tops in one fit
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import UpTuning, levelled, up_vector
+from tiegraph.geometry.gravity import UpTuning, levelled, up_vector
 
 TUNING = UpTuning()
 LEVEL = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)  # world_from_cam of a level camera that looks north

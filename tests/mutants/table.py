@@ -175,7 +175,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_in("001", "sfm/world/scale.py", "sfm/test_sfm_georef.py",
         ("fixed baseline: upside down", "ratios.append(length / mapped)", "ratios.append(mapped / length)"),
     ),
-    *_in("001", "geometry/align.py", "papers/test_papers_presets.py",
+    *_in("001", "geometry/gravity.py", "papers/test_papers_presets.py",
         ("optical axes: what is up is down", "mean = -turns[:, 1].mean(axis=0)", "mean = turns[:, 0].mean(axis=0)",
          "geometry/test_gravity.py"),
         ("optical axes: used without being in the paper", "or tuning.agreement == 1:", "or False:"),

@@ -12,7 +12,7 @@ import pytest
 
 from boat_world import boat, ring
 from tiegraph import papers
-from tiegraph.geometry.align import up_vector
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks.sources import SOURCES
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.rig.check import check_rigs

@@ -9,8 +9,8 @@ import pytest
 from sfm_worlds import level_poses, lone_scene, with_positions
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Up
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings

@@ -20,7 +20,7 @@ from sfm_worlds import (
 
 from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Up
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.rig import Sensor
 from tiegraph.scene.scene import Scene

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.design.tuning import SurfaceTuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import levelled
+from tiegraph.geometry.gravity import levelled
 from tiegraph.geometry.transforms import normal_matrices
 from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import Visibility

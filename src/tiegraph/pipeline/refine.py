@@ -6,7 +6,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.geometry.align import up_vector
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.skyline import places, without_points

@@ -13,7 +13,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import UpTuning, rms_length
+from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.gravity import UpTuning
 from tiegraph.geometry.transforms import motions
 from tiegraph.plan.figures import above_zero
 from tiegraph.plan.network import MountedCamera, Network

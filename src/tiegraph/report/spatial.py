@@ -12,7 +12,8 @@ from markupsafe import Markup
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import PlacementError, levelled
+from tiegraph.geometry.align import PlacementError
+from tiegraph.geometry.gravity import levelled
 from tiegraph.report import cloudview, formatting, maps
 from tiegraph.report.cloudview import Scale, inliers, shown_colours, standard_views, with_scale_bar
 from tiegraph.report.runfolder import RunFolder, some_of

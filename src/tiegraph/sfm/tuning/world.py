@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from tiegraph.geometry.align import UpTuning
+from tiegraph.geometry.gravity import UpTuning
 from tiegraph.scene.tuning import TrendTuning
 from tiegraph.settings import Section
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.geometry.align import Similarity, Up
+from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import StatementTuning, WorldTuning

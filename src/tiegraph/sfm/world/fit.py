@@ -9,17 +9,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import (
-    PlacementError,
-    Similarity,
-    Up,
-    robust_umeyama,
-    roll_by_upward,
-    roll_to_upright,
-    to_upright,
-    umeyama,
-    upright_by_upward,
-)
+from tiegraph.geometry.align import PlacementError, Similarity, robust_umeyama, umeyama
+from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_upright, upright_by_upward
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
 from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated

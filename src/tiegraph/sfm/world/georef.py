@@ -6,8 +6,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import PlacementError, Similarity, rms_length, up_vector
+from tiegraph.geometry.align import PlacementError, Similarity, rms_length
 from tiegraph.geometry.geodesy import Origin, vertical_note
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, contradictions, table

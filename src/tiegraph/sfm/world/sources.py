@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import PlacementError, Similarity, Up
+from tiegraph.geometry.align import PlacementError, Similarity
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import Statement
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, by_errors, fit_similarity

@@ -5,7 +5,8 @@ from itertools import combinations
 
 import numpy as np
 
-from tiegraph.geometry.align import Up, rms_length
+from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.shape import Shape
