@@ -1,7 +1,7 @@
 """How upright level photographs stand: ``python -m benchmarks.sfm.upright [RUN]`` (needs TIEGRAPH_DATA).
 
 Strecha's facades and the boat of `canal_demo`, all its cameras and one, by their true poses, against the vertical of
-the set: what ``geometry.align`` says, the mean of the tops, and one least-squares fit of tops and x axes. With the
+the set: what ``geometry.gravity`` says, the mean of the tops, and one least-squares fit of tops and x axes. With the
 folder of a run of oppaiyama: the plane of its four surveyed points, which lie at one height to 0.1 m over 2 m, by
 their marks.
 """

@@ -237,7 +237,7 @@ def at_times(gnss: Gnss, world_m: np.ndarray, time_s: np.ndarray, max_gap_s: flo
 
     ``world_m`` (G, 3) are the rows in the world. Sigmas are the larger of the two neighbours'.
     """
-    turn = Rotation.from_euler("z", np.nan_to_num(gnss.heading_deg), degrees=True).as_matrix()
+    turn = Rotation.from_euler("z", np.nan_to_num(gnss.heading_deg)[:, None], degrees=True).as_matrix()
     moved = interpolate(gnss.time_s, rigid(turn, world_m), time_s, max_gap_s)
     there = np.isfinite(moved[:, 0, 3])
     at_s = np.where(there, time_s, gnss.time_s[0])
