@@ -18,7 +18,7 @@ import pyproj
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
 from tiegraph.scene.atomic import regular, replacing
-from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, write_records
+from tiegraph.scene.cloudfile import las_header, ply_parts, shift_of, whole_las_header, write_records
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import Columns
 
@@ -105,9 +105,7 @@ def check_cloud(path: Path) -> None:
         raise InputError(f"{path}: not a readable point cloud: no {kind[1:].upper()} file by its content")
     if kind in (".las", ".laz"):
         with _reading(path):
-            refuse_cut_las(path)
-            with laspy.open(path) as reader:
-                count = reader.header.point_count
+            count = whole_las_header(path).point_count
         if not count:
             raise InputError(f"{path}: its header announces 0 points: give a file with points")
         las_crs(path)

@@ -44,15 +44,21 @@ _PLY_TYPES = _C_TYPES | {np.dtype(kind).name: kind for kind in _C_TYPES.values()
 
 
 def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
-    """Write .las, .laz or .ply by the name's ending; returns remarks. Raises InputError for other endings.
+    """Write .las, .laz or .ply by the name's ending; returns remarks.
 
-    ``spacing`` of the points (units of the world) decides the resolution of LAS where the world has no units.
+    LAS is 1.4, point format 7; its scale is 1 mm with an origin, else by ``spacing`` of the points (units of the
+    world). sigma_m, views and the normal are extra dimensions. Parts are written one after another, so an iterable of
+    clouds needs the memory of one part. Raises InputError for other endings and when the disk is full.
     """
     if path.suffix.lower() == ".ply":
         return write_ply(clouds, path)
-    if path.suffix.lower() in (".las", ".laz"):
-        return write_las(clouds, path, spacing)
-    raise InputError(f"{path}: clouds are written as .laz, .las or .ply")
+    if path.suffix.lower() not in (".las", ".laz"):
+        raise InputError(f"{path}: clouds are written as .laz, .las or .ply")
+    parts, first = _parts(clouds)
+    header, notes = las_header(first, spacing)
+    chunks = (p.where(slice(k, k + _CHUNK)) for p in chain([first], parts) for k in range(0, len(p), _CHUNK))  # type: ignore[arg-type]
+    write_records((las_points(chunk, header) for chunk in chunks), header, path)
+    return notes
 
 
 def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
@@ -68,7 +74,7 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
         if path.suffix.lower() == ".ply":
             return _read_ply(path, origin)
         if path.suffix.lower() in (".las", ".laz"):
-            refuse_cut_las(path)
+            whole_las_header(path)
             las = laspy.read(path)
             return las_cloud(las.points, las.header, origin)
     except InputError:
@@ -76,20 +82,6 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
     except Exception as error:  # laspy and lazrs raise many kinds for damaged files
         raise InputError(f"{path} cannot be read as a point cloud: {type(error).__name__}: {error}") from error
     raise InputError(f"{path}: clouds are read from .laz, .las or .ply")
-
-
-def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
-    """Write LAS 1.4, point format 7, compressed if the name ends with .laz; scale 1 mm with an origin, else by
-    ``spacing`` (see ``write_cloud``).
-
-    Parts are written one after another, so an iterable of clouds needs the memory of one part. sigma_m, views and the
-    normal are extra dimensions. Raises TiegraphError when the disk is full.
-    """
-    parts, first = _parts(clouds)
-    header, notes = las_header(first, spacing)
-    chunks = (p.where(slice(k, k + _CHUNK)) for p in chain([first], parts) for k in range(0, len(p), _CHUNK))  # type: ignore[arg-type]
-    write_records((las_points(chunk, header) for chunk in chunks), header, path)
-    return notes
 
 
 def write_records(records: Iterable[laspy.ScaleAwarePointRecord], header: laspy.LasHeader, path: Path) -> int:
@@ -190,8 +182,8 @@ def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRe
     return record
 
 
-def refuse_cut_las(path: Path) -> None:
-    """Raise InputError for a LAS file that is shorter than its header announces (laspy reads the rest)."""
+def whole_las_header(path: Path) -> laspy.LasHeader:
+    """Header of a LAS file. Raises InputError for one that is shorter than it announces (laspy reads the rest)."""
     with laspy.open(path) as reader:
         header = reader.header
     there = path.stat().st_size - header.offset_to_point_data
@@ -199,6 +191,7 @@ def refuse_cut_las(path: Path) -> None:
         raise InputError(
             f"{path} is cut off: its header announces {header.point_count} points, and {there} bytes follow it"
         )
+    return header
 
 
 def las_cloud(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader, origin: Origin | None) -> Cloud:

@@ -167,10 +167,10 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return pixels
 
 
-def decode_deep(data: bytes) -> np.ndarray | None:
+def decode_deep(data: bytes, flag: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
     """Pixels of a file as stored, with their depth, BGR, by OpenCV; None if it cannot."""
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION) if data else None
     except cv2.error:
         return None
 
@@ -179,9 +179,8 @@ def read_pixels(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray | No
     """Pixels (H, W) u1, or (H, W, 3) BGR with IMREAD_COLOR, as stored (an EXIF rotation is not applied); None if the
     file is not there or no image. OpenCV never sees the path: one that is not UTF-8 would end the process."""
     try:
-        data = Path(path).read_bytes()
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION) if data else None
-    except (OSError, cv2.error):
+        return decode_deep(Path(path).read_bytes(), flag)
+    except OSError:
         return None
 
 

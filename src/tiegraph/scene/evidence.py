@@ -75,13 +75,9 @@ class Contradiction:
 def contradictions(statements: Sequence[Statement]) -> list[Contradiction]:
     """Contradictory statements of one quantity, the worst first; those without a sigma are not tested."""
     known = [s for s in statements if np.isfinite([s.value, s.sigma]).all() and s.sigma > 0]
-    out = []
-    for a, b in combinations(known, 2):
-        if a.quantity == b.quantity and a.source != b.source:
-            sigmas = abs(a.value - b.value) / float(np.hypot(a.sigma, b.sigma))
-            if sigmas > LIMIT:
-                out.append(Contradiction(a, b, sigmas))
-    return sorted(out, key=lambda c: -c.sigmas)
+    pairs = ((a, b) for a, b in combinations(known, 2) if a.quantity == b.quantity and a.source != b.source)
+    told = [Contradiction(a, b, abs(a.value - b.value) / float(np.hypot(a.sigma, b.sigma))) for a, b in pairs]
+    return sorted((c for c in told if c.sigmas > LIMIT), key=lambda c: -c.sigmas)
 
 
 def table(statements: Sequence[Statement]) -> dict:

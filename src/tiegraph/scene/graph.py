@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import ranks
 from tiegraph.text import some
 
 
@@ -268,19 +269,8 @@ def strongest_places(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: 
     strength = np.tile(strength, 2)
     sensors = len(scene.all_sensors)
     group = (scene.sequence[scene.frame].astype(np.int64) + 1) * sensors + scene.sensor_key
-    order = np.lexsort((partner, -strength, group[partner], image))
-    turn = _rank(np.stack([image[order], group[partner[order]]]))
-    again = np.lexsort((-strength[order], turn, image[order]))
-    rank = _rank(image[order][again][None])
-    return np.unique(place[order[again[rank < count]]])
-
-
-def _rank(keys: np.ndarray) -> np.ndarray:
-    """(K,) place of each column within its run of equal columns (R, K)."""
-    n = keys.shape[1]
-    first = np.ones(n, bool)
-    first[1:] = np.any(np.diff(keys, axis=1) != 0, axis=0)
-    return np.arange(n) - np.maximum.accumulate(np.where(first, np.arange(n), 0))
+    turn = ranks(image.astype(np.int64) * (group.max(initial=0) + 1) + group[partner], -strength, partner)
+    return np.unique(place[ranks(image, turn, -strength, group[partner]) < count])
 
 
 # --- weakly tied groups -----------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from tiegraph.errors import InputError
 from tiegraph.scene.names import plain_name
 from tiegraph.scene.results import table
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.sorting import Arrays, Columns, blocks, freeze, unite
+from tiegraph.scene.sorting import Arrays, Columns, blocks, freeze, spread, unite
 from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, split_cells, text_of
 from tiegraph.text import csv_text
 
@@ -169,10 +169,8 @@ class Pairs(Columns, Arrays):
 
     def funnel(self) -> dict[str, int]:
         """Candidates, how many each filter dropped (in filter order), and the remaining ones (paper 002, table 1)."""
-        out = {"candidates": len(self)}
-        out.update({r: int(np.sum(self.dropped == k)) for k, r in enumerate(REASONS) if k})
-        out = {n: c for n, c in out.items() if c or n == "candidates"}
-        return {**out, "used": int(np.sum(self.dropped == 0))}
+        used, *dropped = np.bincount(self.dropped, minlength=len(REASONS)).tolist()
+        return {"candidates": len(self), **{r: n for r, n in zip(REASONS[1:], dropped) if n}, "used": used}
 
     def to_text(self, names: tuple[str, ...]) -> str:
         """The kept pairs as a COLMAP pair list: two image names a line."""
@@ -208,14 +206,8 @@ class Pairs(Columns, Arrays):
         for first in range(0, len(self), _LINES):  # as Python's own numbers: several times as fast, not all at once
             for i, j, source, dropped, inliers, *numbers in zip(*(c[first : first + _LINES].tolist() for c in columns)):
                 by = "+".join(s for k, s in enumerate(SOURCES) if source >> k & 1)
-                yield [
-                    names[i],
-                    names[j],
-                    by,
-                    REASONS[dropped],
-                    *("" if v != v else f"{v:.6g}" for v in numbers),
-                    inliers,
-                ]
+                values = ("" if v != v else f"{v:.6g}" for v in numbers)
+                yield [names[i], names[j], by, REASONS[dropped], *values, inliers]
 
 
 @dataclass(frozen=True)
@@ -264,8 +256,7 @@ class PreviewMatches(Arrays):
         first = np.concatenate([self.start[:-1], len(self.matches) + other.start[:-1]])[order]
         count = np.concatenate([self.counts(), other.counts()])[order]
         start = np.concatenate([[0], np.cumsum(count)])
-        rows = np.repeat(first - start[:-1], count) + np.arange(start[-1])
-        matches = np.concatenate([self.matches, other.matches])[rows]
+        matches = np.concatenate([self.matches, other.matches])[spread(first, count)]
         return PreviewMatches(i=i[order], j=j[order], start=start, matches=matches)
 
     def counts(self) -> np.ndarray:

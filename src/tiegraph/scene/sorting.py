@@ -79,13 +79,17 @@ def row_numbers(columns: np.ndarray) -> np.ndarray:
     return number
 
 
+def ranks(group: np.ndarray, *keys: np.ndarray) -> np.ndarray:
+    """(K,) place of each item within its group (K,), sorted by keys (K,), the first before the others."""
+    order = np.lexsort((*keys[::-1], group))
+    out = np.empty(len(order), int)
+    out[order] = np.arange(len(order)) - np.searchsorted(group[order], group[order])
+    return out
+
+
 def among_best(group: np.ndarray, value: np.ndarray, most: int) -> np.ndarray:
     """(K,) bool: items that are among the ``most`` highest values (K,) of their group (K,); of equal ones the first."""
-    order = np.lexsort((-value, group))
-    rank = np.arange(len(order)) - np.searchsorted(group[order], group[order])
-    out = np.zeros(len(order), bool)
-    out[order[rank < most]] = True
-    return out
+    return ranks(group, -value) < most
 
 
 def evenly(count: int, most: int) -> np.ndarray:

@@ -111,14 +111,10 @@ class Table:
 
     def numbers(self, column: int | None) -> np.ndarray:
         """(R,) numbers of a column, NaN where there is none."""
-        if column is None:
-            return np.full(len(self.rows), np.nan)
         return np.array([number(self.plain(k, column)) for k in range(len(self.rows))], float)
 
     def metres(self, column: int | None) -> np.ndarray:
         """(R,) lengths of a column, NaN where there is none. Raises InputError for an invalid unit."""
-        if column is None:
-            return np.full(len(self.rows), np.nan)
         size = self.unit_m(column) or 1.0
         return np.array([length_m(self.plain(k, column), size) for k in range(len(self.rows))], float)
 

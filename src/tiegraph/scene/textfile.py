@@ -184,19 +184,16 @@ def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
 
 def say_axes(crs: pyproj.CRS, name: str) -> tuple[str, ...]:
     """A note on x and y of a file in a grid whose X is the northing, as in many countries' surveying."""
-    if not (crs.is_projected and crs.axis_info[0].direction.lower() == "north"):
-        return ()
-    return (
+    note = (
         f"{name}: X of {crs.name} is the northing, but x is read as the easting and y as the northing; if x is the "
-        "northing here, give a CSV whose header says northing and easting",
+        "northing here, give a CSV whose header says northing and easting"
     )
+    return (note,) if crs.is_projected and crs.axis_info[0].direction.lower() == "north" else ()
 
 
 def units_of(crs: pyproj.CRS | None) -> tuple[float, float, float]:
     """Metres of the units of east, north and height of a grid, in that of east if it has no heights."""
-    if crs is None or not crs.is_projected:
-        return (1.0, 1.0, 1.0)
-    axes = [a.unit_conversion_factor for a in crs.axis_info]
+    axes = [a.unit_conversion_factor for a in crs.axis_info] if crs is not None and crs.is_projected else [1.0, 1.0]
     return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])
 
 

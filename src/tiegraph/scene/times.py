@@ -83,10 +83,8 @@ def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[
     anchor = float(gps_from_utc(np.array(middle))) if dated and weekly else middle
     turns = round((anchor - own) / turn)
     moved = time_s + turns * turn
-    if dated and weekly:
-        return utc_from_gps(moved), ""
     if dated and period_s:
-        return moved, ""
+        return (utc_from_gps(moved) if weekly else moved), ""
     margin = 0.0 if period_s else DAY_S  # for another zone
     overlap = np.nanmin(moved) <= frames.max() + margin and np.nanmax(moved) >= frames.min() - margin
     if period_s:
@@ -94,10 +92,8 @@ def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[
     if turns < 1 or own < DATED_S or not overlap:
         return time_s, ""
     weeks = f"{turns * ROLLOVER_WEEKS} weeks"
-    return (
-        moved,
-        f"its dates lie {weeks} before the frames', where a receiver's count of weeks began again: {weeks} added",
-    )
+    note = f"its dates lie {weeks} before the frames', where a receiver's count of weeks began again: {weeks} added"
+    return moved, note
 
 
 def leap_seconds(time_s: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@ them, their styles, and lines and polygons from files."""
 
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -166,21 +166,9 @@ def style(drawn: str, alpha: float, options: dict[str, str], by: tuple[str, str]
 
 def write_styles(raw: Any, path: Path, styles: Mapping[str, str]) -> None:
     """Add the styles of layers, by the names of these, to a GeoPackage that has them; ``raw``: of ``vectors.gdal``."""
-    columns: dict[str, np.ndarray] = {
-        "f_table_catalog": _texts("" for _ in styles),
-        "f_table_schema": _texts("" for _ in styles),
-        "f_table_name": _texts(styles),
-        "f_geometry_column": _texts("geom" for _ in styles),
-        "styleName": _texts(styles),
-        "styleQML": _texts(styles.values()),
-        "styleSLD": _texts("" for _ in styles),
-        "useAsDefault": np.ones(len(styles), bool),
-        "description": _texts("tiegraph" for _ in styles),
-        "owner": _texts("" for _ in styles),
-    }
+    columns = ("f_table_catalog", "f_table_schema", "f_table_name", "f_geometry_column", "styleName", "styleQML",
+               "styleSLD", "useAsDefault", "description", "owner")  # fmt: skip
+    rows = [("", "", name, "geom", name, text, "", True, "tiegraph", "") for name, text in styles.items()]
+    values = [np.array(column, bool if column[0] is True else object) for column in zip(*rows)]
     how = {"layer": "layer_styles", "geometry_type": None, "crs": None}
-    raw.write(path, None, [*columns.values()], [*columns], driver="GPKG", append=True, **how)
-
-
-def _texts(values: Iterable[str]) -> np.ndarray:
-    return np.array(list(values), object)
+    raw.write(path, None, values, [*columns], driver="GPKG", append=True, **how)

@@ -53,12 +53,9 @@ def _circles(image: Image.Image, count: int, tuning: FisheyeTuning) -> tuple[Cir
 def _dark_corners(part: Image.Image, tuning: FisheyeTuning) -> bool:
     """Whether the corners of a picture are black: of nearly every photograph, they are not."""
     side = max(2, round(tuning.corner * min(part.size)))
-    for x in (0, part.width - side):
-        for y in (0, part.height - side):
-            corner = part.crop((x, y, x + side, y + side)).convert("RGB")
-            if np.median(np.asarray(corner).max(axis=2)) > tuning.dark_grey:
-                return False
-    return True
+    places = [(x, y) for x in (0, part.width - side) for y in (0, part.height - side)]
+    corners = (np.asarray(part.crop((x, y, x + side, y + side)).convert("RGB")) for x, y in places)
+    return all(np.median(corner.max(axis=2)) <= tuning.dark_grey for corner in corners)
 
 
 def lit_circle(brightness: np.ndarray, tuning: FisheyeTuning) -> Circle | None:
