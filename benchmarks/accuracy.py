@@ -14,7 +14,7 @@ from benchmarks.datasets import Dataset, Mark, pose_centre
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
-from tiegraph.scene.registered import agreeing_points
+from tiegraph.scene.colmapmodel import agreeing_points
 from tiegraph.scene.tuning import RegisteredTuning
 
 WITHIN_M = (0.01, 0.05, 0.1, 0.3, 1.0)

@@ -8,7 +8,7 @@ import math
 import re
 from pathlib import Path
 
-from tiegraph.scene.accuracy import Accuracy
+from tiegraph.scene.results import Accuracy
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "": 1.0, "°": 1.0, "%": 0.01, "units": 1.0, "単位": 1.0}
 MARKED = re.compile(r'<data data-accuracy="([^"]+)">([^<]*)</data>')

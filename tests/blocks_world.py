@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 
 from tiegraph.child import run_in_child
-from tiegraph.scene.regular import cached_by_file
+from tiegraph.scene.atomic import cached_by_file
 
 if TYPE_CHECKING:
     from campaign.process import Server

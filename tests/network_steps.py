@@ -16,8 +16,7 @@ from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
@@ -101,7 +100,7 @@ class Mapper:
         """The models, joined."""
         if not len(ties):
             return Assembled(())
-        self.blocks = self.blocks or blocks_of(self._scene, ties, self._scenes.blocks)
+        self.blocks = self.blocks or blocks_of(self._scene, ties.i, ties.j, ties.counts(), self._scenes.blocks)
         whole = is_whole(self.blocks, self._scene)
         parts = [(self._scene, ties)] if whole else [block.part_of(self._scene, ties) for block in self.blocks]
         models = [self._make(part, inside) if len(inside) else None for part, inside in parts]

@@ -12,7 +12,7 @@ import pytest
 from tiegraph import gpu
 from tiegraph.features import matchblocks
 from tiegraph.features.settings import MatchSettings
-from tiegraph.scene.solver import repeatable
+from tiegraph.scene.colmapmodel import repeatable
 from tiegraph.sfm import run
 from tiegraph.sfm.tuning import Tuning
 

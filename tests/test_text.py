@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from tiegraph.report.accuracy import placement, placement_part
-from tiegraph.scene.accuracy import Accuracy
+from tiegraph.scene.results import Accuracy
 from tiegraph.sfm.finish import _open_notes
 from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.text import known_to

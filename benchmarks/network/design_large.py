@@ -16,8 +16,7 @@ import numpy as np
 from tiegraph.design.design import design
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

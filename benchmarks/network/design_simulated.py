@@ -21,8 +21,7 @@ from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import forest
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 
 TUNING = Tuning(few_pairs=0)
 for name in papers.DESIGNS:

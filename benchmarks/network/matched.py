@@ -18,8 +18,7 @@ from tiegraph.pipeline.design import with_accuracy
 from tiegraph.pipeline.files import trusted_poses
 from tiegraph.pipeline.preview import with_previews
 from tiegraph.scene.colmapdatabase import pair_ids, reading
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.adjustment.jacobians import Layout, of_image

@@ -14,8 +14,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import read_gcps
-from tiegraph.scene.markpixels import Copy
-from tiegraph.scene.rig import Sensor
+from tiegraph.scene.rig import Copy, Sensor
 from tiegraph.scene.tuning import ControlTuning
 
 import pycolmap  # isort: skip

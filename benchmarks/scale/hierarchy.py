@@ -2,7 +2,7 @@
 
 The way is simulated (``loop``: two cameras, points seen over some six frames, 0.7 px, a focal length that is held and
 wrong by 0.03 %). The house's own functions cut it into blocks (``scene.blocks``), adjust each by itself
-(``sfm.adjustment``) and join the models (``scene.joining``). Then only the joints are adjusted, never an image: first
+(``sfm.adjustment``) and join the models (``scene.blocks``). Then only the joints are adjusted, never an image: first
 seven unknowns a block, by the poses of the images that two blocks share and by the positions; then seven a piece of 10
 frames, so that a block may bend at its seams as much as two blocks differ where both have the same frames.
 """
@@ -30,9 +30,8 @@ from benchmarks.scale.loop import LEAST, Loop, camera, links, loop, sensor_from_
 from benchmarks.scale.results import save
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.blocks import Block, JoinResult, Poses, blocks_of, join_models, moved
 from tiegraph.scene.colmapmodel import rigid3d
-from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
 from tiegraph.scene.tuning import BlocksTuning, JoiningTuning
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.tuning import AdjustTuning
@@ -131,7 +130,7 @@ def measured(frames: int, seed: int) -> dict[str, Any]:
     world = loop(frames, seed)
     ties = links(world)
     clock.done("simulated")
-    blocks = blocks_of(world.scene, ties, BlocksTuning())
+    blocks = blocks_of(world.scene, ties.i, ties.j, ties.counts(), BlocksTuning())
     clock.done("blocks")
     rng = np.random.default_rng(seed)
     models = [adjusted_block(world, block, rng) for block in blocks]

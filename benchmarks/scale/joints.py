@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.scene.blocks import Block
-from tiegraph.scene.joining import Join, Poses, moved
+from tiegraph.scene.blocks import Block, Join, Poses, moved
 
 TOGETHER = 25  # frames over which a block's own error is much the same
 ROUNDS = 6

@@ -26,11 +26,9 @@ from tiegraph.features.preview import PreviewMatch
 from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.blocks import blocks_of
+from tiegraph.scene.blocks import Poses, blocks_of, join_models
 from tiegraph.scene.colmaprows import create_database
-from tiegraph.scene.joining import Poses, join_models
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning, JoiningTuning
@@ -71,7 +69,7 @@ def blocks(images: int) -> Measured:
     tied = links(world)
 
     def run() -> dict[str, float]:
-        found = blocks_of(world.scene, tied, BlocksTuning())
+        found = blocks_of(world.scene, tied.i, tied.j, tied.counts(), BlocksTuning())
         return {"ties": len(tied.i), "blocks": len(found), "largest": max(map(len, found))}
 
     return run

@@ -26,7 +26,7 @@ from tiegraph.pipeline import candidates as candidates_glue
 from tiegraph.pipeline import coarse as coarse_glue
 from tiegraph.pipeline import preview as previews_glue
 from tiegraph.project.run import Run
-from tiegraph.scene.matches import PreviewMatches, Visibility
+from tiegraph.scene.pairs import PreviewMatches, Visibility
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 

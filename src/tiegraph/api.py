@@ -16,12 +16,11 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage, needed
+from tiegraph.scene.atomic import names_file, real_path
 from tiegraph.scene.bags import source_of
-from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.colmapmodel import read_model, registration
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.registered import registration
-from tiegraph.scene.regular import names_file, real_path
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 

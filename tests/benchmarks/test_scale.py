@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.scene.blocks import Block
-from tiegraph.scene.joining import Poses, join_models, moved
+from tiegraph.scene.blocks import Block, Poses, join_models, moved
 from tiegraph.scene.tuning import JoiningTuning
 
 FRAMES, OWN, LENT = 800, 200, 15

@@ -19,8 +19,7 @@ from tiegraph.cli.verbs import VERBS, wants_page
 from tiegraph.errors import EngineMissing
 from tiegraph.pipeline import MESH, SHOTS, STAGES
 from tiegraph.pipeline import plan as forecast
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 
 # Libraries that take a tenth of a second or more to load, and what of ours brings them.
 HEAVY = {"pycolmap", "cv2", "scipy", "numpy", "matplotlib", "pyproj", "laspy", "pydantic", "tyro", "rich", "PIL"}

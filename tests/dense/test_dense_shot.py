@@ -13,7 +13,7 @@ from tiegraph.dense.shot import NO_OVERLAP, Seen, depth_range, in_camera, plan_h
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import apply, invert, rigid
-from tiegraph.scene.hanging import with_hanging
+from tiegraph.scene.composed import with_hanging
 from tiegraph.scene.results import DepthMap
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene

@@ -19,8 +19,7 @@ from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import MatchPredictionTuning, NetTuning, Tuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

@@ -10,8 +10,7 @@ from tiegraph.design.coverage import coverage, on_few_points, unknown_across
 from tiegraph.design.surface import VERDICTS, CoveredSurface, surface_map, weak_places
 from tiegraph.design.tuning import SurfaceTuning, Tuning
 from tiegraph.scene.graph import cuts, frame_links, parts
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 

@@ -11,8 +11,7 @@ from tiegraph.design.matchprediction import predict_matches, verified_chance
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import MatchPredictionTuning, Tuning
 from tiegraph.scene.graph import components, parts
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 
 TUNING = Tuning(few_pairs=0)  # or of few photographs all pairs are matched
 

@@ -13,7 +13,7 @@ from tiegraph.evaluate.accuracy import Hold, Predicted, Stated, accuracy_csv, an
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.accuracy import LAYERS, Accuracy, Figure
+from tiegraph.scene.results import LAYERS, Accuracy, Figure
 
 TUNING = TrajectoryTuning()
 SIGMA = 0.03  # of a position, each axis

@@ -13,7 +13,7 @@ from tiegraph.evaluate.survey import against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.accuracy import Figure
+from tiegraph.scene.results import Figure
 
 SIGMA = Predicted(inside_m=0.002, scale=0.0005, spread_m=12.2, placed_m=0.05, point_m=0.01)
 TUNING = Tuning()

@@ -22,7 +22,7 @@ from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.cloudchunks import points_of
-from tiegraph.scene.registered import registration
+from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.results import Cloud, Metric, metrics_to_dict
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

@@ -11,7 +11,7 @@ from tiegraph.evaluate.baseline import Reference, Side, compare_sides, stretch
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, registered_metrics
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.registered import Registration
+from tiegraph.scene.colmapmodel import Registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

@@ -11,7 +11,7 @@ from export_world import ORIGIN, finished
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.pipeline import export as glue
 from tiegraph.scene.cloudchunks import open_cloud
-from tiegraph.scene.cloudfile import write_las
+from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
 
 
@@ -29,7 +29,7 @@ def made(tmp_path_factory):
         views=np.full(count, 3, np.uint8),
         origin=ORIGIN,
     )
-    write_las(cloud, found.project.folder / "cloud.laz")
+    write_cloud(cloud, found.project.folder / "cloud.laz")
     return found.project, cloud
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
-from tiegraph.geometry.rays import cross, off_plane, unit_rays
+from tiegraph.geometry.transforms import cross, off_plane, unit_rays
 
 vectors = arrays(float, 3, elements=st.floats(-100, 100))
 

@@ -17,9 +17,8 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.network.coarse.assembled import Assembled, assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.blocks import Block, blocks_of
-from tiegraph.scene.joining import Poses, join, join_models
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.blocks import Block, Poses, blocks_of, join, join_models
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import camera_to_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
@@ -49,7 +48,7 @@ def error_m(model: CoarseModel, truth: np.ndarray) -> np.ndarray:
 
 def test_both_passes_of_a_place_are_in_one_block(world) -> None:
     scene, _, ties = world
-    found = blocks_of(scene, ties, TUNING.blocks)
+    found = blocks_of(scene, ties.i, ties.j, ties.counts(), TUNING.blocks)
     assert len(found) in (3, 4) and max(map(len, found)) <= TUNING.blocks.whole
     own = np.concatenate([b.images[b.own] for b in found])
     assert np.array_equal(np.sort(own), np.arange(len(scene)))
@@ -75,7 +74,7 @@ def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> N
     alike = np.flatnonzero((np.abs(np.abs(where[i] - where[j]) - 100) < 8) & (rng.random(len(i)) < 0.5))
     starts, none = 60 * np.arange(len(alike) + 1), np.zeros((60 * len(alike), 2), np.uint16)
     torn = ties | PreviewMatches(i[alike], j[alike], starts, none)
-    assert max(spread(scene, b) for b in blocks_of(scene, torn, TUNING.blocks)) > 1.8
+    assert max(spread(scene, b) for b in blocks_of(scene, torn.i, torn.j, torn.counts(), TUNING.blocks)) > 1.8
     first = np.unique(scene.frame, return_index=True)[1]
     known = np.full((scene.frames, 4, 4), np.nan)
     known[:, :3, 3] = transforms.centre(truth[first]) + rng.normal(0, 4.0, (scene.frames, 3))
@@ -83,7 +82,7 @@ def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> N
     for gap in (40, 300):
         known[gap : gap + int(missing * FRAMES)] = np.nan
     placed = scene.with_(world_from_rig=known, prior="gnss")
-    found = blocks_of(placed, torn, BlocksTuning())
+    found = blocks_of(placed, torn.i, torn.j, torn.counts(), BlocksTuning())
     assert len(found) in (3, 4) and max(map(len, found)) <= 600
     for block in found:
         assert spread(scene, block) < 1.3
@@ -97,7 +96,7 @@ def test_a_block_beyond_the_last_position_of_its_pass_is_tied_to_the_others(worl
     first = np.unique(scene.frame, return_index=True)[1]
     known = transforms.invert(truth[first])
     known[FRAMES // 4 : FRAMES] = np.nan
-    found = blocks_of(scene.with_(world_from_rig=known), ties, TUNING.blocks)
+    found = blocks_of(scene.with_(world_from_rig=known), ties.i, ties.j, ties.counts(), TUNING.blocks)
     for block in found:
         others = np.concatenate([b.images for b in found if b is not block])
         assert 30 <= len(np.intersect1d(block.images, others)) <= 4 * TUNING.blocks.lent
@@ -105,10 +104,10 @@ def test_a_block_beyond_the_last_position_of_its_pass_is_tied_to_the_others(worl
 
 def test_the_size_of_blocks_is_in_reach_and_larger_without_positions(world) -> None:
     scene, _, ties = world
-    assert len(blocks_of(scene, ties, BlocksTuning())) == 1  # 960 of up to 1500
-    assert len(blocks_of(scene, ties, BlocksTuning(unplaced=1.2))) == 2
-    assert len(blocks_of(scene, ties, BlocksTuning(whole=960, unplaced=1))) == 1
-    small = blocks_of(scene, ties, BlocksTuning(own=200, lent=20, unplaced=1))
+    assert len(blocks_of(scene, ties.i, ties.j, ties.counts(), BlocksTuning())) == 1  # 960 of up to 1500
+    assert len(blocks_of(scene, ties.i, ties.j, ties.counts(), BlocksTuning(unplaced=1.2))) == 2
+    assert len(blocks_of(scene, ties.i, ties.j, ties.counts(), BlocksTuning(whole=960, unplaced=1))) == 1
+    small = blocks_of(scene, ties.i, ties.j, ties.counts(), BlocksTuning(own=200, lent=20, unplaced=1))
     assert len(small) >= 5 and max(int(b.own.sum()) for b in small) <= 200
 
 
@@ -256,7 +255,7 @@ def _tied_models(world, blocks: Sequence[Block], wrong: int | None = None) -> li
 def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong: int) -> None:
     """And only those of the block that is wrong; the frames of a pass are never cut apart."""
     scene, truth, ties = world
-    blocks = blocks_of(scene, ties, TUNING.blocks)
+    blocks = blocks_of(scene, ties.i, ties.j, ties.counts(), TUNING.blocks)
     models = _tied_models(world, blocks, wrong)
     made = assembled(scene, blocks, models, Tuning().coarse, TUNING.joining)
     i, j = made.suspects
@@ -275,7 +274,7 @@ def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong:
 def test_a_rig_is_taken_from_the_block_that_agrees_with_the_others(world) -> None:
     """Not from the one with most images, which may be mapped as roughly as any."""
     scene, truth, ties = world
-    blocks = blocks_of(scene, ties, TUNING.blocks)
+    blocks = blocks_of(scene, ties.i, ties.j, ties.counts(), TUNING.blocks)
     models = _tied_models(world, blocks)
     largest = int(np.argmax([len(b) for b in blocks]))
     rng = np.random.default_rng(1)

@@ -17,8 +17,7 @@ from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import TracksTuning
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()

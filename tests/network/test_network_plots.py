@@ -25,9 +25,8 @@ from tiegraph.pipeline import network as glue
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
-from tiegraph.scene.figures import png
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs, PreviewMatches, Visibility
+from tiegraph.scene.results import png
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

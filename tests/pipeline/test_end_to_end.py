@@ -29,7 +29,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import needed
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
-from tiegraph.scene.accuracy import LAYERS, Accuracy
+from tiegraph.scene.results import LAYERS, Accuracy
 
 pytestmark = pytest.mark.slow
 _PATIENCE_S = 400

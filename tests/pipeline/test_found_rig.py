@@ -21,7 +21,7 @@ from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, orient
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.colmapmodel import rigid3d
-from tiegraph.scene.hanging import WIDE
+from tiegraph.scene.composed import WIDE
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.covariance import INTERIOR, INTERIOR_TABLE, MOUNTING

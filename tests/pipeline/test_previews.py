@@ -18,8 +18,7 @@ from tiegraph.pipeline.design import with_accuracy
 from tiegraph.pipeline.preview import Matcher, preview_path, with_previews
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import Settings
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.tuning import TwoViewTuning

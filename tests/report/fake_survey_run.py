@@ -12,8 +12,8 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import geodesy, transforms
-from tiegraph.scene.accuracy import Accuracy, Answer, Figure
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.results import Accuracy, Answer, Figure
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
 

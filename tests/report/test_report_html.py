@@ -21,7 +21,7 @@ from tiegraph.report.parts import metric_text, network_part
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.spatial import scenery
-from tiegraph.scene.registered import Registration
+from tiegraph.scene.colmapmodel import Registration
 
 SMALL = ReportSettings(viewer_points=2000)
 

@@ -24,8 +24,8 @@ from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.tables import about
 from tiegraph.report.warnings import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
-from tiegraph.scene.accuracy import Accuracy, Figure
-from tiegraph.scene.hanging import WIDE, carrying
+from tiegraph.scene.composed import WIDE, carrying
+from tiegraph.scene.results import Accuracy, Figure
 from tiegraph.scene.scene import Scene
 
 ABOUT = {"client": "Port & <script>alert(1)</script>", "project": "Quay 7", "surveyor": "A. Surveyor"}

@@ -11,11 +11,11 @@ from scan_worlds import exif_of, picture, scan
 
 from said import says
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
+from tiegraph.scene.exif import RigTags, relative_rotation
 from tiegraph.scene.images import probe_image
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import ImageTuning
-from tiegraph.scene.xmp import RigTags, relative_rotation
 
 HEAD = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF><rdf:Description rdf:about="" xmlns:Camera="http://pix4d.com/camera/1.0"'
 ANGLES = {1: (0.0, 0.0, 0.0), 2: (-0.127427, 0.183305, 0.058653), 3: (0.4, -1.2, 0.3)}

@@ -14,8 +14,8 @@ from near import baselines_m
 from said import refused, says
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scene.fisheye import lit
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.wideviews import lit
 
 SIDE, FOCAL, CIRCLE = 240, 60.0, 100.0
 LENS = [FOCAL, FOCAL, SIDE / 2, SIDE / 2, 1e-6, 0, 0, 0]

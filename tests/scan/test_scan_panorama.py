@@ -16,9 +16,9 @@ from said import refused, says
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import opaque
-from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import PanoramaTuning
+from tiegraph.scene.wideviews import is_equirectangular
 
 
 def colour(rays: np.ndarray, turn: float) -> np.ndarray:

@@ -19,8 +19,8 @@ from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import sharpest, take_pictures
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene import images as scene_images
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.images import probe_image, search_images
-from tiegraph.scene.regular import regular
 from tiegraph.scene.tuning import ImageTuning
 
 pytestmark = pytest.mark.timeout(120)

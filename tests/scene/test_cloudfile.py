@@ -21,7 +21,7 @@ from tiegraph.errors import TiegraphError
 from tiegraph.geometry.geodesy import Origin, make_origin
 from tiegraph.scene import cloudfile
 from tiegraph.scene.atomic import replacing, same_file
-from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_las, write_ply
+from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_ply
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud, DepthMap, load_depth, save_depth
 
@@ -212,7 +212,7 @@ def test_depth_maps_come_back_and_do_not_depend_on_the_time(tmp_path, monkeypatc
 def test_a_cloud_without_units_may_begin_with_one_point(tmp_path):
     far = cloud(scale=5000.0)
     lone = far.where(slice(0, 1))
-    write_las(iter([lone, far]), tmp_path / "c.laz", spacing=0.02)
+    write_cloud(iter([lone, far]), tmp_path / "c.laz", spacing=0.02)
     after = read_cloud(tmp_path / "c.laz")
     assert len(after) == len(far) + 1
     np.testing.assert_allclose(after.xyz_m[1:], far.xyz_m, atol=0.02 / 100)

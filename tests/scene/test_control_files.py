@@ -10,9 +10,8 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import crs_coordinates, make_origin, vertical_note, world_from_geodetic
 from tiegraph.scene.control import image_lookup, locate
 from tiegraph.scene.gcp import read_gcps
-from tiegraph.scene.markpixels import prepared_pixel
 from tiegraph.scene.names import found_by
-from tiegraph.scene.rig import Rig, Sensor, Source
+from tiegraph.scene.rig import Rig, Sensor, Source, prepared_pixel
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import ControlTuning
 

@@ -6,7 +6,7 @@ import pytest
 
 from tiegraph.pipeline import design
 from tiegraph.pipeline import preview as previews
-from tiegraph.scene.regular import cached_by_file
+from tiegraph.scene.atomic import cached_by_file
 
 
 def replace(path, text):

@@ -7,9 +7,9 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from tiegraph.scene.fisheye import image_circles, lit, render_lens_view, seen_half_deg
 from tiegraph.scene.rig import LensView, Rig, Sensor, Source, rig_from_dict, rig_to_dict
 from tiegraph.scene.tuning import FisheyeTuning
+from tiegraph.scene.wideviews import image_circles, lit, render_lens_view, seen_half_deg
 
 TUNING = FisheyeTuning()
 

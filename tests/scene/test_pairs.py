@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs, PreviewMatches
 
 rows = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=40)
 

@@ -15,13 +15,12 @@ from hypothesis import strategies as st
 
 from said import refused
 from tiegraph.geometry.transforms import invert, rigid
-from tiegraph.scene.colmapmodel import image_poses, is_model, read_model, tracks
-from tiegraph.scene.hanging import carries, carrying, with_hanging
-from tiegraph.scene.registered import registration
+from tiegraph.scene.colmapmodel import image_poses, is_model, read_model, registration, tracks
+from tiegraph.scene.composed import carries, carrying, with_hanging
+from tiegraph.scene.graph import WeaklyTied, named, strongest_first, weakly_tied
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.tuning import RegisteredTuning
-from tiegraph.scene.weakties import WeaklyTied, named, strongest_first, weakly_tied
 
 
 def test_whole_cut_and_odd_models(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from sfm_worlds import make_world, seen_anew
 
 from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
-from tiegraph.scene import solver
+from tiegraph.scene import colmapmodel
 from tiegraph.scene.colmapmodel import image_poses, matrix, read_model
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import drop_momentary, final_adjustment
@@ -65,7 +65,7 @@ def test_a_large_adjustment_gives_the_same_bits_each_time(tmp_path: Path) -> Non
 
 def test_threads_of_the_solver_are_not_those_of_the_machine() -> None:
     options = pycolmap.BundleAdjustmentOptions()
-    solver.factorised(options, frames=solver.MOST_FRAMES + 1, images=10**6)
+    colmapmodel.factorised(options, frames=colmapmodel.MOST_FRAMES + 1, images=10**6)
     assert options.ceres.solver_options.num_threads == 1
 
 

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import control_of, elsewhere, lone_scene, make_world
 
 from tiegraph.scene.control import Control, Marks
-from tiegraph.scene.markpixels import AS_IS, Copy
-from tiegraph.scene.rig import Sensor, Source
+from tiegraph.scene.rig import AS_IS, Copy, Sensor, Source
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georeferencing import as_marked

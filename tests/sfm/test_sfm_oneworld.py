@@ -12,7 +12,8 @@ from sfm_worlds import elsewhere, frame_centres, make_world, part_of, with_posit
 from tiegraph import papers
 from tiegraph.geometry import transforms
 from tiegraph.project.settings import merged as merged_settings
-from tiegraph.scene.colmapmodel import image_poses, merged
+from tiegraph.scene.colmapmodel import image_poses
+from tiegraph.scene.composed import merged
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified

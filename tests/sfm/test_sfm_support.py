@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import model_rigs
-from tiegraph.scene.registered import Registration
+from tiegraph.scene.colmapmodel import Registration, model_rigs
+from tiegraph.scene.graph import WeaklyTied
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.weakties import WeaklyTied
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.registrationreport import few_points, weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors

@@ -18,7 +18,7 @@ from said import refused
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.pages import WatchServer
 from tiegraph.pipeline.watchmodel import resect_previews
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.watch.arrivals import Arrivals
 from tiegraph.watch.frames import Known, place_frames
 from tiegraph.watch.tuning import ArrivalsTuning, FramesTuning

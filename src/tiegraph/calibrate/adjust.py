@@ -16,8 +16,7 @@ from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
-from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d, sensor_id
-from tiegraph.scene.solver import all_images, options_of
+from tiegraph.scene.colmapmodel import add_rig, all_images, matrix, options_of, rigid3d, sensor_id
 
 _RIG = 1
 

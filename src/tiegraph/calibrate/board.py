@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.targets import CENTRE, refined
 
 CHARUCO, CHECKER, APRILGRID = "charuco", "checker", "aprilgrid"

@@ -15,7 +15,7 @@ from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
 from tiegraph.calibrate.judge import CELLS, Verdict
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
-from tiegraph.scene.figures import png
+from tiegraph.scene.results import png
 from tiegraph.scene.targets import CENTRE
 from tiegraph.text import csv_text, one_line
 

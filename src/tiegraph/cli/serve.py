@@ -9,7 +9,7 @@ import tyro
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.errors import InputError
-from tiegraph.scene.regular import real_path
+from tiegraph.scene.atomic import real_path
 
 
 @dataclass(frozen=True, kw_only=True)

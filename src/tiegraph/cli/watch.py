@@ -10,7 +10,7 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.pipeline.watch import watch
 from tiegraph.project.verbtunings import read_tunings
-from tiegraph.scene.regular import real_path
+from tiegraph.scene.atomic import real_path
 
 
 @dataclass(frozen=True, kw_only=True)

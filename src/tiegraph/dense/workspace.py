@@ -14,8 +14,8 @@ from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole_of
 from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.composed import moved_pixels
 from tiegraph.scene.names import inside
-from tiegraph.scene.relens import moved_pixels
 from tiegraph.scene.results import DepthMap
 
 _SOURCES = 20  # partners PatchMatch would choose by itself, were it run in the workspace

@@ -14,11 +14,20 @@ import numpy as np
 
 from tiegraph.design.matchprediction import verified_chance
 from tiegraph.design.tuning import Tuning
-from tiegraph.scene.graph import component_notes, components, cuts, frame_links, groups, parts, two_links
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.graph import (
+    WeaklyTied,
+    component_notes,
+    components,
+    cuts,
+    frame_links,
+    groups,
+    named,
+    parts,
+    two_links,
+    weakly_tied,
+)
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.weakties import WeaklyTied, named, weakly_tied
 from tiegraph.text import some
 
 _COLUMNS = ["kind", "where", "frames at stake", "independent links", "matched points"]

@@ -31,8 +31,7 @@ from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import HoldingTuning, NetTuning, Tuning
 from tiegraph.errors import choose as choose_entry
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, strongest_places, two_links
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.scene import Scene
 
 _log = logging.getLogger(__name__)

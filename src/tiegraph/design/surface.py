@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 from tiegraph.design.tuning import SurfaceTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.gravity import levelled
-from tiegraph.geometry.rays import normal_matrices
-from tiegraph.scene.figures import png
-from tiegraph.scene.graph import blocks, parts
-from tiegraph.scene.matches import Visibility
-from tiegraph.scene.sorting import Columns
+from tiegraph.geometry.transforms import normal_matrices
+from tiegraph.scene.graph import parts
+from tiegraph.scene.pairs import Visibility
+from tiegraph.scene.results import png
+from tiegraph.scene.sorting import Columns, blocks
 
 COLOURS = ("#4c9a6a", "#b3261e", "#d9822b", "#c4a000", "#8e5ea2")  # of VERDICTS
 _INK, _DPI = "#444444", 110

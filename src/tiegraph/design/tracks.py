@@ -7,8 +7,8 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 
 from tiegraph.design.tuning import NetTuning
-from tiegraph.scene.graph import BLOCK, blocks, spread, unite
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
+from tiegraph.scene.sorting import BLOCK, blocks, spread, unite
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The accuracy of a run in layers (``scene.accuracy``): what its stages predicted beside what references measured."""
+"""The accuracy of a run in layers (``scene.results``): what its stages predicted beside what references measured."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry.align import rms_length
-from tiegraph.scene.accuracy import MEASURED, NAN, PREDICTED, Accuracy, Answer, Figure
+from tiegraph.scene.results import MEASURED, NAN, PREDICTED, Accuracy, Answer, Figure
 from tiegraph.scene.sorting import evenly
 from tiegraph.text import csv_text
 

@@ -29,7 +29,7 @@ class ModelPoses:
 
     @property
     def placed(self) -> np.ndarray:
-        """(N,) bool: has a pose, registered or placed by its rig (``scene.registered``)."""
+        """(N,) bool: has a pose, registered or placed by its rig (``scene.colmapmodel``)."""
         return np.isfinite(self.world_from_camera[:, 0, 0])
 
     def centres(self) -> np.ndarray:

@@ -29,11 +29,10 @@ from tiegraph.evaluate.trajectory import (
 from tiegraph.evaluate.tuning import JudgeTuning, Tuning
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin
-from tiegraph.scene.accuracy import Figure
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
+from tiegraph.scene.colmapmodel import Registration
 from tiegraph.scene.evidence import RARELY, fits_better
-from tiegraph.scene.registered import Registration
-from tiegraph.scene.results import Metric, metrics_to_dict
+from tiegraph.scene.results import Figure, Metric, metrics_to_dict
 from tiegraph.scene.scene import Scene
 
 _SAMPLE = 4_000_000  # points of the cloud that are projected back: bounds memory

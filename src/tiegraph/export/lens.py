@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.relens import same_lens
+from tiegraph.scene.composed import same_lens
 
 Cameras = dict[int, pycolmap.Camera]
 FISHEYE = "OPENCV_FISHEYE"

@@ -13,8 +13,7 @@ from tiegraph.export.survey import Survey
 from tiegraph.geometry.geodesy import ENU, Origin, crs_coordinates, geodetic_from_world, parse_crs
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.colmapmodel import matrix
-from tiegraph.scene.qgis import style, write_styles
-from tiegraph.scene.vectors import Layer, collection, feature, gdal, write_layer
+from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 
 _WGS84 = "EPSG:4979"
 FILE = "survey.gpkg"

@@ -23,7 +23,7 @@ from tiegraph.features.sift import DESCRIPTOR_NORM, contrast, evened, root_sift
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.limits import need_room
 from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
 

@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
+from tiegraph.scene.atomic import cached_by_file
 from tiegraph.scene.colmapdatabase import Rows
-from tiegraph.scene.regular import cached_by_file
 from tiegraph.scene.rig import camera_from_dict, camera_to_dict, pixel_rays
 from tiegraph.scene.scene import Scene
 

@@ -28,7 +28,7 @@ from tiegraph.filter.bearings import Matches
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import LoopTuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.rays import cross
+from tiegraph.geometry.transforms import cross
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 

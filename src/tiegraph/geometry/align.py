@@ -80,13 +80,7 @@ def umeyama(
     return Similarity(scale, rotation, mean_t - scale * rotation @ mean_s)
 
 
-def robust_umeyama(
-    source: np.ndarray,
-    target: np.ndarray,
-    sigma: np.ndarray | float,
-    with_scale: bool = True,
-    seed: int = 0,
-) -> tuple[Similarity, np.ndarray]:
+def robust_umeyama(source: np.ndarray, target: np.ndarray, sigma: np.ndarray | float) -> tuple[Similarity, np.ndarray]:
     """Similarity by RANSAC over triples, refined on the inliers; returns it and the inlier mask (N,).
 
     A point is an inlier below three of its sigmas (N,) (target units). All points are used when no triple does better
@@ -94,22 +88,22 @@ def robust_umeyama(
     """
     source, target = np.asarray(source, float), np.asarray(target, float)
     sigma = np.broadcast_to(np.asarray(sigma, float), (len(source),))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     best, inliers = -1.0, np.ones(len(source), bool)
     for _ in range(300 if len(source) > 3 else 1):
         pick = rng.choice(len(source), 3, replace=False)
-        fit = umeyama(source[pick], target[pick], with_scale=with_scale)
+        fit = umeyama(source[pick], target[pick])
         ratio = np.linalg.norm(fit(source) - target, axis=1) / (3 * sigma)
         score = float(np.sum(np.maximum(0.0, 1 - ratio**2)))
         if score > best and np.sum(ratio < 1) >= 3:
             best, inliers = score, ratio < 1
     for _ in range(5):
-        fit = umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2, with_scale)
+        fit = umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2)
         again = np.linalg.norm(fit(source) - target, axis=1) < 3 * sigma
         if again.sum() < 3 or np.array_equal(again, inliers):
             break
         inliers = again
-    return umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2, with_scale), inliers
+    return umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2), inliers
 
 
 def l1_mean_rotation(rotations: np.ndarray) -> np.ndarray:

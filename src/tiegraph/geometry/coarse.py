@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
@@ -254,7 +255,7 @@ def _matched(source: Shape, target: Shape, tuning: CoarseTuning) -> np.ndarray:
 def _compatible(source: Shape, target: Shape, pairs: np.ndarray, side: float, tuning: CoarseTuning) -> np.ndarray:
     """(M, M) 1 where a rigid motion can hold both matches, else 0."""
     i, j = pairs.T
-    lengths = [_distances(shape.xyz[k]) for shape, k in ((source, i), (target, j))]
+    lengths = [cdist(shape.xyz[k], shape.xyz[k]) for shape, k in ((source, i), (target, j))]
     agree = np.abs(lengths[0] - lengths[1]) < tuning.play * side
     agree &= np.minimum(*lengths) > tuning.least_apart * side
     turn = [np.clip(shape.normal[k] @ shape.normal[k].T, -1, 1) for shape, k in ((source, i), (target, j))]
@@ -262,11 +263,6 @@ def _compatible(source: Shape, target: Shape, pairs: np.ndarray, side: float, tu
         turn = [np.abs(t) for t in turn]
     agree &= np.abs(np.arccos(turn[0]) - np.arccos(turn[1])) < np.radians(tuning.normal_play_deg)
     return agree.astype(np.float32)
-
-
-def _distances(xyz: np.ndarray) -> np.ndarray:
-    square = np.sum(xyz**2, axis=1)
-    return np.sqrt(np.maximum(square[:, None] + square - 2 * xyz @ xyz.T, 0))
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,8 @@ def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
     """Raise InputError if lengths in a CRS are off by more than 1 % at a position, or its axes make mirror images."""
     where = f"CRS {crs} ({parse_crs(crs).name})"
     remedy = f"choose {utm_crs(lat_deg, lon_deg)} (--scan.crs auto), ENU or another one for this place"
-    if not _within(crs, np.array([[lat_deg, lon_deg]]))[0] and _within(crs, np.array([[lon_deg, lat_deg]]))[0]:
+    here, exchanged = _in_area(parse_crs(crs), *np.array([[lat_deg, lon_deg], [lon_deg, lat_deg]]))
+    if exchanged and not here:
         remedy += "; or are latitude and longitude of the positions exchanged? Exchanged they lie in its area"
     place = f"the positions, about lat {lat_deg:.5f}, lon {lon_deg:.5f}"
     grid = _grid(crs, lat_deg, lon_deg)
@@ -127,12 +128,8 @@ def _grid(crs: str, lat_deg: float, lon_deg: float) -> np.ndarray:
         return np.stack([[v[0] - v[1], v[2] - v[3]] for v in (east, north)]) / (2 * _STEP_M)
 
 
-def _within(crs: str, lat_lon: np.ndarray) -> np.ndarray:
-    """(N,) whether positions (N, >= 2) lie in the area of use of a CRS; all do where it names none."""
-    return _in_area(parse_crs(crs), lat_lon[:, 0], lat_lon[:, 1])
-
-
 def _in_area(crs: pyproj.CRS, lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
+    """(N,) whether positions lie in the area of use of a CRS; all do where it names none."""
     area = crs.area_of_use
     if area is None:
         return np.ones(len(lat), bool)
@@ -159,11 +156,11 @@ def area_note(crs: str, lat_lon_height: np.ndarray) -> str:
     """What to say of positions (N, 3) outside the area of use of a CRS; "" if there are none."""
     if crs.upper() == ENU:
         return ""
-    outside = ~_within(crs, lat_lon_height)
+    parsed = parse_crs(crs)
+    outside = ~_in_area(parsed, *lat_lon_height[:, :2].T)
     if not outside.any():
         return ""
     lat, lon = lat_lon_height[np.flatnonzero(outside)[0], :2]
-    parsed = parse_crs(crs)
     return (
         f"--scan.crs {crs} ({parsed.name}): {outside.sum()} of {len(outside)} positions lie outside its area of use "
         f"({parsed.area_of_use.name if parsed.area_of_use else ''}), such as lat {lat:.5f}, lon {lon:.5f}; "

@@ -10,7 +10,6 @@ the tops Herz-Jesus-P8 stands 4.7 deg off instead of 0.1, with 0.001 one camera 
 0.0 (``python -m benchmarks.sfm.upright``).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +57,9 @@ def up_vector(cam_from_world: np.ndarray, frame: np.ndarray, tuning: UpTuning) -
     if not use.any() or tuning.agreement == 1:
         return None
     turns = cam_from_world[use, :3, :3]
-    count, (top, looking) = _of_frames(frame[use], (-turns[:, 1], turns[:, 2]))
+    _, at, count = np.unique(frame[use], return_inverse=True, return_counts=True)
+    sums = (np.stack([np.bincount(at, v) for v in axis.T], axis=1) for axis in (-turns[:, 1], turns[:, 2]))
+    top, looking = (s / count[:, None] for s in sums)  # means of each frame
     several = count > 1
     ring = several.any() and float(np.linalg.norm(looking[several], axis=1).mean()) < tuning.round
     horizon = None if ring else across_horizon(turns, tuning)
@@ -92,17 +93,6 @@ def across_horizon(turns: np.ndarray, tuning: UpTuning) -> Up | None:
     if sigma >= tuning.lone_sigma_deg:
         return None
     return Up(direction=up, sigma_deg=sigma, ring=False, tilt=True, cameras="the level images")
-
-
-def _of_frames(frame: np.ndarray, values: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """How many images (N,) each frame has (G,), and the means (G, 3) over them of each of the values (N, 3)."""
-    frames, at, count = np.unique(frame, return_inverse=True, return_counts=True)
-    means = []
-    for v in values:
-        total = np.zeros((len(frames), 3))
-        np.add.at(total, at, v)
-        means.append(total / count[:, None])
-    return count, means
 
 
 def levelled(cam_from_world: np.ndarray, frame: np.ndarray) -> np.ndarray:

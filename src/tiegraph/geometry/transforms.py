@@ -1,4 +1,5 @@
-"""Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``; NaN = unknown."""
+"""Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``, NaN = unknown; rays as unit
+vectors in a camera's frame."""
 
 from typing import Any
 
@@ -101,26 +102,66 @@ def angle_deg(rotation_a: np.ndarray, rotation_b: np.ndarray) -> np.ndarray:
 
 def interpolate(time_s: np.ndarray, transforms: np.ndarray, at_s: np.ndarray, max_gap_s: float = np.inf) -> np.ndarray:
     """Rigid transforms (T, 4, 4) at sorted times (T,), slerped/lerped to times (K,): (K, 4, 4), NaN outside or across a
-    gap wider than ``max_gap_s``."""
+    gap wider than ``max_gap_s``; at one of the times (to a microsecond) its own."""
     out = np.full((len(at_s), 4, 4), np.nan)
     if len(time_s) == 0:
         return out
-    right = np.clip(np.searchsorted(time_s, at_s), 1, max(len(time_s) - 1, 1))
-    for k, t in enumerate(at_s):
-        if not np.isfinite(t):
-            continue
-        exact = np.flatnonzero(np.abs(time_s - t) < 1e-6)
-        if len(exact):
-            out[k] = transforms[exact[0]]
-            continue
-        if len(time_s) < 2:
-            continue
-        b, a = right[k], right[k] - 1
-        gap = time_s[b] - time_s[a]
-        if not time_s[a] <= t <= time_s[b] or gap > max_gap_s:
-            continue
-        u = (t - time_s[a]) / gap
-        step = Rotation.from_matrix(transforms[a, :3, :3].T @ transforms[b, :3, :3]).as_rotvec()
-        rotation = transforms[a, :3, :3] @ Rotation.from_rotvec(u * step).as_matrix()
-        out[k] = rigid(rotation, (1 - u) * transforms[a, :3, 3] + u * transforms[b, :3, 3])
+    known = np.isfinite(at_s)
+    first = np.searchsorted(time_s, np.where(known, at_s, 0.0) - 1e-6, side="right")
+    exact = np.minimum(first, len(time_s) - 1)
+    same = known & (np.abs(time_s[exact] - at_s) < 1e-6)
+    out[same] = transforms[exact[same]]
+    if len(time_s) < 2:
+        return out
+    b = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
+    gap = time_s[b] - time_s[b - 1]
+    inside = known & ~same & (time_s[b - 1] <= at_s) & (at_s <= time_s[b]) & (gap <= max_gap_s)
+    if not inside.any():
+        return out
+    before, after = transforms[b[inside] - 1], transforms[b[inside]]
+    u = ((at_s - time_s[b - 1])[inside] / gap[inside])[:, None]
+    step = Rotation.from_matrix(np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]).as_rotvec()
+    turn = before[:, :3, :3] @ Rotation.from_rotvec(u * step).as_matrix()
+    out[inside] = rigid(turn, (1 - u) * before[:, :3, 3] + u * after[:, :3, 3])
     return out
+
+
+def unit_rays(plane: np.ndarray) -> np.ndarray:
+    """(K, 3) unit vectors of places (K, 2) on the plane z = 1 in front of a camera; NaN stays."""
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def off_plane(way: np.ndarray, ray: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(K,) sine of the angle between a second ray and the epipolar plane of a first one and of the way to its camera.
+
+    way, ray (K, 3): from the first centre to the second, and the first ray; normal (K, 3): first ray x second ray, both
+    of unit length in the axes of ``way``.
+    """
+    across = np.maximum(np.linalg.norm(cross(way, ray), axis=1), 1e-12)
+    return np.abs(np.sum(way * normal, axis=1)) / across
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Row-wise cross product (K, 3); several times faster than NumPy's."""
+    out = np.empty(a.shape)
+    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out
+
+
+def normal_matrices(ray: np.ndarray, weight: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """(G, 3, 3) normal matrices of points that rays meet at: the sum of weight (I - ray rayT) over each point's rays.
+
+    ray (K, 3) unit; weight (K,): one over the squared sigma across the ray, at the point; group (K,): the ray's point.
+    The inverse is the point's covariance.
+    """
+    products = np.bincount(group, weight, groups)[:, None, None] * np.eye(3)
+    for a in range(3):
+        for b in range(a, 3):
+            off = np.bincount(group, weight * ray[:, a] * ray[:, b], groups)
+            products[:, a, b] -= off
+            if a != b:
+                products[:, b, a] -= off
+    return np.asarray(products)

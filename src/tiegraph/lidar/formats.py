@@ -8,8 +8,8 @@ import laspy
 import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
-from tiegraph.scene.regular import regular
 
 BIN_COLUMNS = ("x", "y", "z", "intensity")
 TIME_COLUMNS = ("t", "time", "dt", "time_s", "offset_time", "timestamp", "timestamps", "times", "gps_time")

@@ -15,11 +15,11 @@ from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.cells import in_seconds, parse_time
 from tiegraph.scene.cells import times as times_by_content
 from tiegraph.scene.posefile import read_poses
-from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.times import times_in, times_of
 

@@ -7,10 +7,10 @@ import numpy as np
 from PIL import Image
 
 from tiegraph.errors import InputError
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.decoding import decode_deep, open_image
 from tiegraph.scene.images import IMAGES_FOLDER
 from tiegraph.scene.names import on_disk
-from tiegraph.scene.regular import regular
 from tiegraph.text import some
 
 _TWO_LEVELS = ({0, 255}, {0, 1})

@@ -9,8 +9,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.masks.tuning import FramesTuning
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.decoding import open_image
-from tiegraph.scene.regular import regular
 
 _log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.masks import NAMES, USE
-from tiegraph.scene.regular import cached_by_file, regular
+from tiegraph.scene.atomic import cached_by_file, regular
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -19,8 +19,7 @@ from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import SOURCES, Context, Descriptors, Proposal, automatic
 from tiegraph.network.tuning import Tuning
 from tiegraph.plugins import chosen
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.scene import Scene
 
 

@@ -20,8 +20,7 @@ from tiegraph.network.settings import CandidatesSettings, NetworkSettings
 from tiegraph.network.sources import axes_count, axes_pairs
 from tiegraph.network.tuning import SectionsTuning, Tuning
 from tiegraph.scene.graph import component_notes
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.scene import Scene, of_frames
 
 _PAIRS_AT_ONCE = 20_000  # pairs whose points are looked up at once: bounds the memory

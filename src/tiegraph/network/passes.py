@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 

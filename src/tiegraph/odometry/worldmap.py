@@ -12,8 +12,7 @@ from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.resect import errors_px
 from tiegraph.odometry.tuning import MapTuning
-from tiegraph.scene.colmapmodel import add_rig, matrix, rigid3d
-from tiegraph.scene.solver import all_images, options_of
+from tiegraph.scene.colmapmodel import add_rig, all_images, matrix, options_of, rigid3d
 from tiegraph.scene.sorting import Columns
 
 _RIG = 1

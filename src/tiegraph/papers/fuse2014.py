@@ -15,12 +15,11 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from tiegraph.design.design import DesignResult
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.colmapmodel import options_of, rigid3d
 from tiegraph.scene.graph import cheapest_cut, forest, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.solver import options_of
 from tiegraph.sfm.tuning import TwoViewTuning
 
 # The paper's own numbers: they define its method.

@@ -20,9 +20,8 @@ from tiegraph.project.stages import Stage, needed, save_json
 from tiegraph.report.maps import frame_positions
 from tiegraph.scene.atomic import remove
 from tiegraph.scene.bags import source_of
-from tiegraph.scene.colmapmodel import registered_images
+from tiegraph.scene.colmapmodel import registered_images, registration
 from tiegraph.scene.names import on_disk
-from tiegraph.scene.registered import registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import position_sigma
 

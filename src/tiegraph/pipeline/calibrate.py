@@ -46,8 +46,8 @@ from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import SensorSpec, rig_config, rig_toml
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
+from tiegraph.scene.composed import WIDE
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
-from tiegraph.scene.hanging import WIDE
 from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor

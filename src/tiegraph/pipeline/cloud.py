@@ -13,11 +13,10 @@ from tiegraph.pipeline.files import CLOUD, load_json, placement_error, world_ori
 from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.scene.accuracy import LAYERS
 from tiegraph.scene.atomic import remove, same_file
 from tiegraph.scene.cloudfile import write_ply
 from tiegraph.scene.copc import write_copc
-from tiegraph.scene.results import Cloud
+from tiegraph.scene.results import LAYERS, Cloud
 
 
 def cloud(run: Run) -> Outcome:

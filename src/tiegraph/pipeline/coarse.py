@@ -25,8 +25,7 @@ from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import remove
 from tiegraph.scene.blocks import Block, blocks_of, in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, model_rigs, tracks
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.settings import SparseSettings
@@ -93,7 +92,7 @@ class _Mapper:
         if not len(ties):
             return Assembled(())
         run, scene, tuning = self._run, self._scene, self._run.settings.tuning
-        self._blocks = self._blocks or blocks_of(scene, ties, tuning.scene.blocks)
+        self._blocks = self._blocks or blocks_of(scene, ties.i, ties.j, ties.counts(), tuning.scene.blocks)
         models = []
         for number, block in enumerate(self._blocks):
             run.reporter.total(len(self._blocks), number)

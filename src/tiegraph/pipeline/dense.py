@@ -27,7 +27,7 @@ from tiegraph.pipeline.files import FINAL, load_json, load_map, load_model, whol
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import remove
-from tiegraph.scene.hanging import carries
+from tiegraph.scene.composed import carries
 from tiegraph.scene.names import inside
 from tiegraph.scene.results import DepthMap, save_depth
 

@@ -17,9 +17,8 @@ from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, sav
 from tiegraph.pipeline.preview import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.regular import cached_by_file
+from tiegraph.scene.atomic import cached_by_file
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning import TwoViewTuning
 

@@ -24,7 +24,7 @@ from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import remove
 from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of
-from tiegraph.scene.registered import registration
+from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.scene import Scene
 from tiegraph.text import command
 

@@ -37,11 +37,11 @@ from tiegraph.pipeline.files import (
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.cloudchunks import write_e57
 from tiegraph.scene.cloudfile import las_cloud
-from tiegraph.scene.e57file import write_e57
+from tiegraph.scene.composed import with_cameras
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
-from tiegraph.scene.relens import with_cameras
 
 _DEPTHS = "depths"
 _SCAN = 10_000_000  # points of a scan of an E57 file: pye57 writes one from memory, about 0.5 GB

@@ -22,8 +22,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import read_pixels
-from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, Visibility
 from tiegraph.scene.results import Cloud, DepthMap, load_depth
 from tiegraph.scene.scene import Scene
 

@@ -3,7 +3,7 @@
 Sources: cameras and poses from ``sparse/world`` once ``georef`` has made it, before from ``sparse/0``. A rig
 that was held as given keeps its own lengths: the scale of a survey by its positions does not change a measured
 rig. An adjusted rig has the lengths of the world, and is refused if these are not metric. Cameras that depend
-on a wide one (``scene.hanging``) are in no model and stay as given.
+on a wide one (``scene.composed``) are in no model and stay as given.
 
 The receipt records how the model was made: which rigs and lenses were held, and the constants. A line of tiegraph.toml
 that was written later precedes a constant of the receipt, but never turns an adjusted rig into a held one.

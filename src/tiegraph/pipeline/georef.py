@@ -19,10 +19,10 @@ from tiegraph.project.stages import Outcome, save_json
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim, remove
 from tiegraph.scene.colmapmodel import model_centres
+from tiegraph.scene.composed import carries, with_hanging
 from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import moved_within, on_clock_of, step_of
-from tiegraph.scene.hanging import carries, with_hanging
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras

@@ -37,8 +37,8 @@ from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource
 from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.posefile import write_tum
-from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning

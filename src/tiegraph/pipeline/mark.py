@@ -20,8 +20,8 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Marks, image_lookup, surveyed_world
 from tiegraph.scene.gcp import FileMark, GcpFile, parse_crs_line, read_gcps, read_points
-from tiegraph.scene.markpixels import prepared_pixel, source_pixel
 from tiegraph.scene.names import found_by
+from tiegraph.scene.rig import prepared_pixel, source_pixel
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.marks import Target, targets
 from tiegraph.targets.marks import seen_in

@@ -20,8 +20,8 @@ from tiegraph.plugins import chosen
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.decoding import opaque
-from tiegraph.scene.fisheye import lit
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.wideviews import lit
 from tiegraph.text import csv_text
 
 

@@ -18,9 +18,9 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scan.priors.priors import Followed
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scene.atomic import names_file
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.posefile import FREE_UNIT
-from tiegraph.scene.regular import names_file
 from tiegraph.scene.scene import Scene
 from tiegraph.text import csv_text
 

@@ -14,9 +14,8 @@ from tiegraph.network.sections.light import LIGHTS, UpLight
 from tiegraph.pipeline.files import load_as, load_scene, read_image, read_mask, save_npz, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.regular import cached_by_file
+from tiegraph.scene.atomic import cached_by_file
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.scene import Scene
 
 

@@ -45,7 +45,7 @@ from tiegraph.scan.videos.videooffset import (
 )
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
 from tiegraph.scene.bags import source_of, split_topics
-from tiegraph.scene.hanging import carrying
+from tiegraph.scene.composed import carrying
 from tiegraph.scene.images import find_images, has_images, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor

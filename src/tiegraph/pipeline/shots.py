@@ -23,7 +23,7 @@ from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.colmapmodel import image_poses, tracks
-from tiegraph.scene.hanging import carries
+from tiegraph.scene.composed import carries
 from tiegraph.scene.names import shortened
 from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.results import save_depth

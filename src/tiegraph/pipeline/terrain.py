@@ -29,8 +29,7 @@ from tiegraph.products.terrain import (
 )
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.qgis import style, write_styles
-from tiegraph.scene.vectors import Layer, collection, feature, gdal, write_layer
+from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 
 _DONE = "dtm.jpg"  # the last file
 _STYLE = style(

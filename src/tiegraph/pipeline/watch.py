@@ -41,8 +41,8 @@ from tiegraph.project.run import Run, check_run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, probe_image
 from tiegraph.scene.images import Probe
-from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.names import clean_names
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.watch.arrivals import Arrivals

@@ -31,8 +31,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scene.graph import strongest_pairs
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.watch.tuning import FramesTuning, ModelTuning

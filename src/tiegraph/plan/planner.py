@@ -26,7 +26,7 @@ from tiegraph.plan.places import PathPlan, plan_path
 from tiegraph.plan.request import PlanRequest, numbers
 from tiegraph.plan.tables import station_csv
 from tiegraph.plan.tuning import Tuning
-from tiegraph.scene.figures import png
+from tiegraph.scene.results import png
 from tiegraph.scene.sorting import evenly
 
 _DPI = 130

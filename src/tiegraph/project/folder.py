@@ -17,8 +17,7 @@ from tiegraph.errors import InputError
 from tiegraph.project.progress import LogFormatter
 from tiegraph.project.receipts import covered
 from tiegraph.project.stages import digest, read_object, write_atomic
-from tiegraph.scene.atomic import MARK, TEMPORARIES, is_temporary, sweep
-from tiegraph.scene.regular import real_path
+from tiegraph.scene.atomic import MARK, TEMPORARIES, is_temporary, real_path, sweep
 from tiegraph.text import some
 
 log = logging.getLogger("tiegraph")

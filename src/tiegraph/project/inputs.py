@@ -23,10 +23,10 @@ from tiegraph.project.receipts import digests
 from tiegraph.project.settings import Settings, sections, shortened
 from tiegraph.project.stages import PLACE as SOURCE_PLACE
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.atomic import names_file, regular
 from tiegraph.scene.bags import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
 from tiegraph.scene.namedposes import find_start
-from tiegraph.scene.regular import names_file, regular
 
 PLACE = "receipts/inputs.json"
 _Entry = list[Any]  # size, time (ns) when it was first read, time now, digest

@@ -36,7 +36,7 @@ from tiegraph.products.tuning import Tuning as ProductsTuning
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings

@@ -1,4 +1,4 @@
-"""The accuracy of a run in words, for the page and the terminal: every figure is taken from ``scene.accuracy`` by key.
+"""The accuracy of a run in words, for the page and the terminal: every figure is taken from ``scene.results`` by key.
 
 On the page each figure is marked with its key (``<data data-accuracy="world.predicted">``), so that a test can compare
 all of them with the one source.
@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from tiegraph.report import formatting
 from tiegraph.report.formatting import is_number, marked
 from tiegraph.report.texts import capital, said, t
-from tiegraph.scene.accuracy import LAYERS, MEASURED, PREDICTED, Accuracy, Figure
+from tiegraph.scene.results import LAYERS, MEASURED, PREDICTED, Accuracy, Figure
 from tiegraph.text import known_to
 
 _MEANS = {

@@ -19,7 +19,7 @@ from tiegraph.report.tables import with_section_names
 from tiegraph.report.texts import capital, said, t
 from tiegraph.report.thumbnails import file_uri
 from tiegraph.report.warnings import FEW_TIES
-from tiegraph.scene.registered import BY_RIG
+from tiegraph.scene.colmapmodel import BY_RIG
 
 _NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
 _TITLES = {

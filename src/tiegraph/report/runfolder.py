@@ -19,12 +19,11 @@ from pydantic import ValidationError
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scene.accuracy import Accuracy
-from tiegraph.scene.colmapmodel import is_model, matrix
+from tiegraph.scene.colmapmodel import Registration, is_model, matrix, registration
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
-from tiegraph.scene.hanging import carries
+from tiegraph.scene.composed import carries
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.registered import Registration, registration
+from tiegraph.scene.results import Accuracy
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
@@ -162,7 +161,7 @@ class RunFolder:
 
     @property
     def hanging(self) -> tuple[int, int]:
-        """Images that take no part in structure from motion (``scene.hanging``), and those of them that have a pose."""
+        """Images without part in structure from motion (``scene.composed``), and those of them that have a pose."""
         return int(self.counts("scan").get("hanging", 0)), int(self.counts("georef").get("hanging", 0))
 
     @cached_property

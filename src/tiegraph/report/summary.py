@@ -12,7 +12,7 @@ from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.tables import about, contradictions, section_name
 from tiegraph.report.texts import capital, many, said, t
 from tiegraph.report.warnings import warnings, weak_placement
-from tiegraph.scene.registered import BY_RIG
+from tiegraph.scene.colmapmodel import BY_RIG
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
 

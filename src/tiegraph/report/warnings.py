@@ -13,7 +13,7 @@ from tiegraph.report.charts import ties
 from tiegraph.report.formatting import count, is_number
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.texts import many, said, t
-from tiegraph.scene.registered import BY_RIG
+from tiegraph.scene.colmapmodel import BY_RIG
 
 _WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
 FEW_TIES = 3  # an image with fewer ties is weakly connected
@@ -90,7 +90,7 @@ def dropped_images(run: RunFolder) -> list[tuple[str, str]]:
 
 
 REGISTERED, ABSENT, LEFT_OUT = "registered", "not in the model", "left out by the scan"
-HANGING = "hangs on the rig"  # no part of structure from motion (``scene.hanging``)
+HANGING = "hangs on the rig"  # no part of structure from motion (``scene.composed``)
 STATES = (REGISTERED, BY_RIG, HANGING, ABSENT, LEFT_OUT)
 
 

@@ -1,7 +1,7 @@
 """The scan stage: makes a Scene from a folder of images, videos or panoramas and the files that belong to it.
 
 User inputs are checked before anything is made or stored (``pipeline.inputs``, ``project.inputs``), the rest
-here. Every file of the user passes ``scene.regular`` before it is opened (pipes and devices never end), and a folder
+here. Every file of the user passes ``scene.atomic`` before it is opened (pipes and devices never end), and a folder
 is searched once whatever links lead back to it. COLMAP models are read by ``scene.colmapmodel.read_model``, which
 compares the records with the size of the file first. Images get names of ours where they are listed
 (``scene.names``): no native library sees a name that is not UTF-8. A table's header says which column is which; the

@@ -16,8 +16,7 @@ from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.tuning import FramesTuning
-from tiegraph.scene.exif import Exif
-from tiegraph.scene.xmp import relative_rotation
+from tiegraph.scene.exif import Exif, relative_rotation
 
 _BANDS = frozenset(
     "gre red reg nir rgb green blue blu rededge lwir thermal tir pan panchro ms_g ms_r ms_re ms_nir".split()

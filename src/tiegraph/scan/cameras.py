@@ -29,8 +29,8 @@ from tiegraph.scan.rigfiles.rigfile import camera_table
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scene.atomic import names_file
 from tiegraph.scene.decoding import EIGHT_BIT, Levels
-from tiegraph.scene.regular import names_file
 from tiegraph.scene.rig import Source, on_plane
 from tiegraph.scene.textfile import utf8_text
 from tiegraph.text import some

@@ -22,9 +22,9 @@ from tiegraph.scan.assign import ImageFiles, Report, Shot, Survey
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import LensViewsTuning, PanoramaTuning
-from tiegraph.scene.fisheye import is_fisheye, seen_half_deg
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, Source
+from tiegraph.scene.wideviews import is_fisheye, seen_half_deg
 from tiegraph.text import some
 
 

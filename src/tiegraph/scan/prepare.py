@@ -14,13 +14,11 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import cached_by_file, real_path, regular, replacing
 from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
 from tiegraph.scene.exif import Taken, exif_of, orientation_in
-from tiegraph.scene.fisheye import frozen, render_lens_view
-from tiegraph.scene.panorama import render_view, sphere_of
-from tiegraph.scene.regular import cached_by_file, real_path, regular
 from tiegraph.scene.rig import Sensor, Source
+from tiegraph.scene.wideviews import frozen, render_lens_view, render_view, sphere_of
 
 # Formats that both OpenCV and COLMAP can read.
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),

@@ -22,8 +22,8 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.sharedfiles import perspective_views, two_lenses
 from tiegraph.scan.tuning import Tuning
+from tiegraph.scene.composed import wide_first
 from tiegraph.scene.decoding import EIGHT_BIT
-from tiegraph.scene.hanging import wide_first
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor

@@ -27,7 +27,7 @@ from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient, preset_s
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PanoramaTuning, Tuning
 from tiegraph.scene.images import Probe
-from tiegraph.scene.panorama import seen
+from tiegraph.scene.wideviews import seen
 from tiegraph.text import some
 
 PRESET = "panorama"

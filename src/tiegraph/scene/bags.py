@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.names import clean
-from tiegraph.scene.regular import regular
 from tiegraph.text import some
 
 ROS1 = (".bag", ".active")  # the second while it is recorded
@@ -74,7 +74,8 @@ def _is_file(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic, the kind of its messages ("sensor_msgs/Image") and their number."""
+    """A topic, the kind of its messages ("sensor_msgs/Image", perhaps with an encoding that is not ROS's own) and their
+    number."""
 
     name: str
     kind: str
@@ -92,7 +93,9 @@ class Bag:
         self._connections: dict[Topic, list[Any]] = {}
         by_name: dict[tuple[str, str], list[Any]] = {}
         for connection in reader.connections:
-            by_name.setdefault((connection.topic, _kind(connection)), []).append(connection)
+            encoding = getattr(connection.ext, "serialization_format", "cdr")
+            kind = connection.msgtype.replace("/msg/", "/") + ("" if encoding == "cdr" else f" in {encoding}")
+            by_name.setdefault((connection.topic, kind), []).append(connection)
         for (name, kind), mine in sorted(by_name.items()):
             self._connections[Topic(name, kind, sum(c.msgcount for c in mine))] = mine
         self.topics = tuple(self._connections)
@@ -187,12 +190,6 @@ def _reading(path: Path) -> Iterator[None]:
 def stamp_ns(header: Any, received_ns: int) -> int:
     """Time of measurement of a message (ns): by its header, or if that is not set, of its receipt."""
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec) or received_ns
-
-
-def _kind(connection: Any) -> str:
-    """The kind of a connection's messages, as ROS 1 writes it; with their encoding, if that is not ROS's own."""
-    encoding = getattr(connection.ext, "serialization_format", "cdr")
-    return connection.msgtype.replace("/msg/", "/") + ("" if encoding == "cdr" else f" in {encoding}")
 
 
 def _either(kinds: Sequence[str]) -> str:

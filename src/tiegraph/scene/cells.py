@@ -133,10 +133,8 @@ def in_seconds(times: np.ndarray) -> np.ndarray:
     """Times since 1970 in milli-, micro- or nanoseconds as seconds; other times unchanged."""
     known = times[np.isfinite(times)]
     size = float(np.median(np.abs(known))) if len(known) else 0.0
-    for limit, factor in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
-        if size > limit:
-            return times * factor
-    return times
+    factors = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+    return next((times * factor for limit, factor in factors if size > limit), times)
 
 
 # --- columns ---------------------------------------------------------------------------------------------------------
@@ -264,10 +262,9 @@ def points(rows: Cells, crs: pyproj.CRS | None) -> tuple[str, ...]:
     values = _numbers(rows)
     width = values.shape[1] + 1
     if width == 4 and np.isnan(values[:, 0]).all() and np.isfinite(values[:, 1:]).all():
-        files = is_file(rows[0][0]), is_file(rows[0][1])
-        return {(True, False): ("image", "name", "px", "py"), (False, True): ("name", "image", "px", "py")}.get(
-            files, ()
-        )
+        first, second = (is_file(cell) for cell in rows[0][:2])
+        names = ("image", "name") if first else ("name", "image")
+        return (*names, "px", "py") if first != second else ()
     if width < 4 or np.isnan(values[:, :3]).any():
         return ()
     codes = tuple(f"code_{k}" for k in range(1, width - 3))

@@ -1,7 +1,7 @@
 """Point clouds read a part at a time, in double precision: LAS, LAZ, COPC, PLY and E57, of any number of points.
 
-Memory is that of a part (of an E57 file: that of a scan). Also points with measured values, written as LAS or LAZ 1.4:
-extra dimensions of 32 bits, colours by the first.
+Memory is that of a part (of an E57 file: that of a scan). And what other programs get: points with measured values as
+LAS or LAZ 1.4 (extra dimensions of 32 bits, colours by the first), scans as E57 (ASTM E2807).
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -15,10 +15,10 @@ import matplotlib
 import numpy as np
 import pyproj
 
-from tiegraph.errors import InputError
+from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
-from tiegraph.scene.cloudfile import las_header, ply_parts, refuse_cut_las, shift_of, write_records
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular, replacing
+from tiegraph.scene.cloudfile import las_header, ply_parts, shift_of, whole_las_header, write_records
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import Columns
 
@@ -105,9 +105,7 @@ def check_cloud(path: Path) -> None:
         raise InputError(f"{path}: not a readable point cloud: no {kind[1:].upper()} file by its content")
     if kind in (".las", ".laz"):
         with _reading(path):
-            refuse_cut_las(path)
-            with laspy.open(path) as reader:
-                count = reader.header.point_count
+            count = whole_las_header(path).point_count
         if not count:
             raise InputError(f"{path}: its header announces 0 points: give a file with points")
         las_crs(path)
@@ -232,3 +230,33 @@ def _records(part: Measured, header: laspy.LasHeader, shift: np.ndarray) -> lasp
     for name, values in part.columns.items():
         record[name] = values.astype(np.float32)
     return record
+
+
+# --- E57 --------------------------------------------------------------------------------------------------------------
+
+
+def write_e57(clouds: Iterable[Cloud], path: Path) -> int:
+    """Write clouds with their colours, each as a scan of its own in coordinates of the CRS; how many points they have.
+
+    pye57 keeps single precision about the place of a scan: its middle, in whole metres. Raises EngineMissing without
+    pye57, InputError for a full disk.
+    """
+    try:
+        import pye57
+    except ImportError:
+        raise EngineMissing(
+            f"{path}: E57 is written by pye57, which is not installed: pip install 'tiegraph[e57]'"
+        ) from None
+    count = 0
+    with replacing(path) as temporary, pye57.E57(str(temporary), mode="w") as file:
+        for number, cloud in enumerate(clouds, 1):
+            place = np.round((cloud.xyz_m + shift_of(cloud.origin)).mean(axis=0))
+            local = cloud.xyz_m + (shift_of(cloud.origin) - place)
+            columns = {f"cartesian{name}": np.ascontiguousarray(local[:, k]) for k, name in enumerate("XYZ")}
+            colours = {
+                f"color{n}": np.ascontiguousarray(cloud.rgb[:, k]) for k, n in enumerate(("Red", "Green", "Blue"))
+            }
+            crs = "no CRS" if cloud.origin is None else cloud.origin.crs
+            file.write_scan_raw({**columns, **colours}, name=f"tiegraph {number} ({crs})", translation=place)
+            count += len(cloud)
+    return count

@@ -15,8 +15,7 @@ import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, parse_crs
-from tiegraph.scene.atomic import replacing
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular, replacing
 from tiegraph.scene.results import Cloud
 
 # Scale of a world without units, as a share of its points' spacing or, if unknown, of the first part's extent:
@@ -31,23 +30,35 @@ _PLY = (
     ("red", "u1", "uchar"), ("green", "u1", "uchar"), ("blue", "u1", "uchar"),
     ("sigma_m", "<f4", "float"), ("views", "u1", "uchar"),
 )  # fmt: skip
-_PLY_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
-}  # fmt: skip
+_C_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+_PLY_TYPES = _C_TYPES | {np.dtype(kind).name: kind for kind in _C_TYPES.values()}
 
 
 def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
-    """Write .las, .laz or .ply by the name's ending; returns remarks. Raises InputError for other endings.
+    """Write .las, .laz or .ply by the name's ending; returns remarks.
 
-    ``spacing`` of the points (units of the world) decides the resolution of LAS where the world has no units.
+    LAS is 1.4, point format 7; its scale is 1 mm with an origin, else by ``spacing`` of the points (units of the
+    world). sigma_m, views and the normal are extra dimensions. Parts are written one after another, so an iterable of
+    clouds needs the memory of one part. Raises InputError for other endings and when the disk is full.
     """
     if path.suffix.lower() == ".ply":
         return write_ply(clouds, path)
-    if path.suffix.lower() in (".las", ".laz"):
-        return write_las(clouds, path, spacing)
-    raise InputError(f"{path}: clouds are written as .laz, .las or .ply")
+    if path.suffix.lower() not in (".las", ".laz"):
+        raise InputError(f"{path}: clouds are written as .laz, .las or .ply")
+    parts, first = _parts(clouds)
+    header, notes = las_header(first, spacing)
+    chunks = (p.where(slice(k, k + _CHUNK)) for p in chain([first], parts) for k in range(0, len(p), _CHUNK))  # type: ignore[arg-type]
+    write_records((las_points(chunk, header) for chunk in chunks), header, path)
+    return notes
 
 
 def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
@@ -63,26 +74,14 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
         if path.suffix.lower() == ".ply":
             return _read_ply(path, origin)
         if path.suffix.lower() in (".las", ".laz"):
-            return _read_las(path, origin)
+            whole_las_header(path)
+            las = laspy.read(path)
+            return las_cloud(las.points, las.header, origin)
     except InputError:
         raise
     except Exception as error:  # laspy and lazrs raise many kinds for damaged files
         raise InputError(f"{path} cannot be read as a point cloud: {type(error).__name__}: {error}") from error
     raise InputError(f"{path}: clouds are read from .laz, .las or .ply")
-
-
-def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
-    """Write LAS 1.4, point format 7, compressed if the name ends with .laz; scale 1 mm with an origin, else by
-    ``spacing`` (see ``write_cloud``).
-
-    Parts are written one after another, so an iterable of clouds needs the memory of one part. sigma_m, views and the
-    normal are extra dimensions. Raises TiegraphError when the disk is full.
-    """
-    parts, first = _parts(clouds)
-    header, notes = las_header(first, spacing)
-    chunks = (p.where(slice(k, k + _CHUNK)) for p in chain([first], parts) for k in range(0, len(p), _CHUNK))  # type: ignore[arg-type]
-    write_records((las_points(chunk, header) for chunk in chunks), header, path)
-    return notes
 
 
 def write_records(records: Iterable[laspy.ScaleAwarePointRecord], header: laspy.LasHeader, path: Path) -> int:
@@ -183,8 +182,8 @@ def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRe
     return record
 
 
-def refuse_cut_las(path: Path) -> None:
-    """Raise InputError for a LAS file that is shorter than its header announces (laspy reads the rest)."""
+def whole_las_header(path: Path) -> laspy.LasHeader:
+    """Header of a LAS file. Raises InputError for one that is shorter than it announces (laspy reads the rest)."""
     with laspy.open(path) as reader:
         header = reader.header
     there = path.stat().st_size - header.offset_to_point_data
@@ -192,12 +191,7 @@ def refuse_cut_las(path: Path) -> None:
         raise InputError(
             f"{path} is cut off: its header announces {header.point_count} points, and {there} bytes follow it"
         )
-
-
-def _read_las(path: Path, origin: Origin | None) -> Cloud:
-    refuse_cut_las(path)
-    las = laspy.read(path)
-    return las_cloud(las.points, las.header, origin)
+    return header
 
 
 def las_cloud(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader, origin: Origin | None) -> Cloud:
@@ -279,8 +273,6 @@ def _read_ply(path: Path, origin: Origin | None) -> Cloud:
     with open(path, "rb") as file:
         header = _read_ply_header(file, path)
         rows = np.concatenate(list(_ply_rows_of(file, path, header, max(header.count, 1))))
-    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
-        raise InputError(f"{path}: its vertices have no x, y, z")
     xyz = np.stack([rows[c].astype(float) for c in "xyz"], axis=1)
     names = rows.dtype.names or ()
     rgb = np.full((len(rows), 3), 128, np.uint8)
@@ -327,6 +319,8 @@ def _read_ply_header(file: BinaryIO, path: Path) -> _PlyHeader:
             properties.append((words[2], _PLY_TYPES[words[1]]))
         elif words[:1] == ["comment"] and len(words) > 2:
             comments[words[1]] = words[2:]
+    if not {"x", "y", "z"} <= {name for name, _ in properties}:
+        raise InputError(f"{path}: its vertices have no x, y, z")
     return _PlyHeader(kind=kind, count=count, properties=properties, origin=_ply_origin(comments))
 
 
@@ -342,10 +336,7 @@ def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
 def ply_parts(path: Path, most: int) -> Iterator[np.ndarray]:
     """The vertices of a PLY file, at most ``most`` at a time, as records with x, y, z. Raises InputError."""
     with open(path, "rb") as file:
-        header = _read_ply_header(file, path)
-        if not {"x", "y", "z"} <= {name for name, _ in header.properties}:
-            raise InputError(f"{path}: its vertices have no x, y, z")
-        yield from _ply_rows_of(file, path, header, most)
+        yield from _ply_rows_of(file, path, _read_ply_header(file, path), most)
 
 
 def _ply_rows_of(file: BinaryIO, path: Path, header: _PlyHeader, most: int) -> Iterator[np.ndarray]:

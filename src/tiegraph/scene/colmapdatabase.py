@@ -8,7 +8,7 @@ to the file, as COLMAP's own opening does.
 """
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,14 +22,19 @@ from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-_WHOLE = ("cameras", "rigs", "rig_sensors", "frames", "frame_data", "images")
-_OF_IMAGES = ("keypoints", "descriptors")
 _MADE = ("matches", "two_view_geometries")
+_WANTED = "WHERE image_id IN wanted"
+# The features of some images, and the others' rows: tables, and which of their rows.
+_FEATURES = {
+    **dict.fromkeys(("cameras", "rigs", "rig_sensors", "frames", "frame_data", "images"), ""),
+    "keypoints": _WANTED,
+    "descriptors": _WANTED,
+}
 # All that a mapper reads besides rigs, frames and priors, and which rows of it some images need.
 _MAPPED = {
     "cameras": "",
-    "images": "WHERE image_id IN wanted",
-    "keypoints": "WHERE image_id IN wanted",
+    "images": _WANTED,
+    "keypoints": _WANTED,
     "two_view_geometries": f"WHERE pair_id / {MAX_IMAGES} IN wanted AND pair_id % {MAX_IMAGES} IN wanted",
 }
 
@@ -103,9 +108,7 @@ class Rows:
             model, params = pycolmap.CameraModelId(model), np.frombuffer(params)
             cameras[key] = pycolmap.Camera(camera_id=key, model=model, width=width, height=height, params=params)
             cameras[key].has_prior_focal_length = bool(prior)
-        return {
-            image: cameras[key] for image, key in self._connection.execute("SELECT image_id, camera_id FROM images")
-        }
+        return {k: cameras[c] for k, c in self._connection.execute("SELECT image_id, camera_id FROM images")}
 
 
 def _images(pair_id: int) -> tuple[int, int]:
@@ -220,8 +223,9 @@ def match_counts(path: Path, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 @contextmanager
-def _new(path: Path, source: Path) -> Iterator[sqlite3.Connection]:
-    """A new database with COLMAP's tables, in one transaction, and another one beside it as ``source``."""
+def _new(path: Path, source: Path, tables: Mapping[str, str], images: Iterable[int]) -> Iterator[sqlite3.Connection]:
+    """A new database, in one transaction, with rows of another one: of some tables, each by a condition, as far as it
+    concerns images of some ids (``wanted``)."""
     remove(path)
     pycolmap.Database.open(path).close()
     connection = sqlite3.connect(path, isolation_level=None)
@@ -230,6 +234,10 @@ def _new(path: Path, source: Path) -> Iterator[sqlite3.Connection]:
         connection.execute("ATTACH ? AS source", (str(source),))
         connection.execute("BEGIN")
         connection.execute("CREATE TEMP TABLE wanted (image_id INTEGER PRIMARY KEY)")
+        connection.executemany("INSERT INTO wanted VALUES (?)", [(k,) for k in images])
+        for table, which in tables.items():
+            names = _columns(connection, table)
+            connection.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM source.{table} {which}")
         yield connection
         connection.execute("COMMIT")
     finally:
@@ -238,12 +246,7 @@ def _new(path: Path, source: Path) -> Iterator[sqlite3.Connection]:
 
 def copy_features(source: Path, path: Path, images: np.ndarray, alias: str) -> None:
     """A new database with the features of some images (scene indices), named ``alias`` and their id."""
-    with _new(path, source) as connection:
-        connection.executemany("INSERT INTO wanted VALUES (?)", [(int(k) + 1,) for k in images])
-        for table in (*_WHOLE, *_OF_IMAGES):
-            names = _columns(connection, table)
-            which = " WHERE image_id IN wanted" if table in _OF_IMAGES else ""
-            connection.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM source.{table}{which}")
+    with _new(path, source, _FEATURES, [int(k) + 1 for k in images]) as connection:
         connection.execute("UPDATE images SET name = ? || image_id", (alias,))
 
 
@@ -269,13 +272,9 @@ def copy_verified(source: Path, path: Path, names: set[str] | None, refused: Seq
     ``names``: of the images to copy, None = all; ``refused``: names of pairs whose verified matches stay behind.
     Descriptors and raw matches, most of the bytes, stay behind too.
     """
-    with _new(path, source) as connection:
-        rows = connection.execute("SELECT image_id, name FROM source.images").fetchall()
-        ids = [(number,) for number, name in rows if names is None or name in names]
-        connection.executemany("INSERT INTO wanted VALUES (?)", ids)
-        for table, where in _MAPPED.items():
-            part = "" if names is None else where
-            connection.execute(f"INSERT INTO {table} SELECT * FROM source.{table} {part}")
+    with Rows(source) as rows:
+        wanted = [k for k, name in rows.image_names().items() if names is None or name in names]
+    with _new(path, source, dict.fromkeys(_MAPPED, "") if names is None else _MAPPED, wanted) as connection:
         there = {name: image_id for image_id, name in connection.execute("SELECT image_id, name FROM images")}
         gone = [sorted(there.get(name, 0) for name in pair) for pair in refused]
         connection.executemany(
@@ -326,9 +325,7 @@ def explained(path: Path, error: Exception) -> TiegraphError:
     told = limits.explained(error, path.parent) or limits.explained_text(text, path.parent)
     if told is not None:
         return type(told)(f"{path} cannot be written: {told}")
-    if (
-        "disk I/O" in text or "factory" in text or "readonly" in text or "unable to open" in text
-    ):  # all that COLMAP reports of its reason
+    if any(word in text for word in ("disk I/O", "factory", "readonly", "unable to open")):  # all that COLMAP reports
         return InputError(f"{path} cannot be written ({text}): is the disk full or the folder read-only?")
     if "locked" in text:
         return TiegraphError(f"{path} is in use by another program ({text}): close it and run again")

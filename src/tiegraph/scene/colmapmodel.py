@@ -1,12 +1,16 @@
-"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), written, converted to
-arrays by the scene's images and sensors; ids in its database. And several models of one world in one model.
+"""COLMAP's models: read from files of any origin (a damaged one is an error, never a hang), converted to arrays by the
+scene's images and sensors; which images are registered, for all counts; how Ceres solves their adjustments.
+
+A pose alone proves nothing: COLMAP registers a frame with all the cameras of its rig, also with those that see no point
+at all (27 images of a drone rig over forest). An image is *registered* if it sees at least 10 points with residuals
+below 4 px; one that has a pose but not these is *placed by the rig*, and is counted separately everywhere.
 """
 
 import shutil
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,11 +21,11 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.scene.atomic import scratch_folder
+from tiegraph.scene.atomic import regular, scratch_folder
 from tiegraph.scene.names import check_text
-from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.text import one_line
 
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
@@ -127,7 +131,7 @@ def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:
         for _ in range(_U64.unpack_from(data)[0]):
             at = end_of(data, at)
     except (struct.error, LookupError, OverflowError, ValueError):  # past the end, no end of a name, no such camera
-        raise InputError(f"{path}: the file is cut off or damaged; make the model again") from None
+        at = -1
     if at != len(data):
         raise InputError(f"{path}: the file is cut off or damaged; make the model again")
 
@@ -230,12 +234,11 @@ def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.nda
 
 def model_centres(reconstruction: pycolmap.Reconstruction) -> np.ndarray:
     """(K, 3) projection centres of the images that have a pose."""
-    found = [i.projection_center() for i in reconstruction.images.values() if i.has_pose]
-    return np.array(found).reshape(-1, 3)
+    return np.array([i.projection_center() for i in reconstruction.images.values() if i.has_pose]).reshape(-1, 3)
 
 
 def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
-    """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``scene.registered``."""
+    """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``registration``."""
     counts = np.zeros(len(scene), int)
     for index, image in registered_images(reconstruction, scene):
         counts[index] = image.num_points3D
@@ -263,12 +266,11 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
     """The scene's rigs with the cameras and extrinsics of a model (its units); others stay as given."""
     out = []
     for index, (first, rig) in enumerate(scene.keyed_rigs):
-        sensors = [
-            replace(s, camera=_get(reconstruction.cameras, key, s.camera))
-            for key, s in enumerate(rig.sensors, start=first + 1)
-        ]
-        held = _get(reconstruction.rigs, index + 1, None)
-        ids = [sensor_id(first + k + 1) for k in range(len(sensors))]
+        numbers = range(first + 1, first + 1 + len(rig.sensors))
+        cameras = [reconstruction.cameras[k] if k in reconstruction.cameras else None for k in numbers]
+        sensors = [replace(s, camera=c or s.camera) for s, c in zip(rig.sensors, cameras)]
+        held = reconstruction.rigs[index + 1] if index + 1 in reconstruction.rigs else None
+        ids = [sensor_id(k) for k in numbers]
         if held is not None and held.is_ref_sensor(ids[0]):
             for k in range(1, len(sensors)):
                 if held.has_sensor_from_rig(ids[k]):
@@ -277,82 +279,122 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
     return tuple(out)
 
 
-def _get(table: Any, key: int, otherwise: Any) -> Any:
-    return table[key] if key in table else otherwise
+# --- registered images ------------------------------------------------------------------------------------------------
 
 
-def merged(models: Sequence[pycolmap.Reconstruction]) -> pycolmap.Reconstruction:
-    """One model of the registered images of all, which must be in one frame and unit; ids of cameras, rigs, frames
-    and images of the first model stay.
-
-    Models that were adjusted separately have separate calibrations: each brings its own, under new ids.
-    An image of an earlier model is left out of a later one, and so are points that then have less than two images.
-    """
-    out = pycolmap.Reconstruction()
-    for model in models:
-        _add(out, model)
-    return out
+BY_RIG = "placed by the rig"  # the name of the others in tables
+_ASKED = 100  # points of an image that are tested; of more, some that are spread evenly
+LEFT_OUT = "left out: "  # begin of the reason for an image that had a wrong position
 
 
-def _add(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction) -> None:
-    there = {out.image(k).name for k in out.images}
-    new = [k for k in sorted(model.reg_image_ids()) if model.image(k).name not in there]
-    if not new:
-        return
-    ids = {k: k if k not in out.images else max(max(out.images), max(model.images)) + 1 + n for n, k in enumerate(new)}
-    cameras = {k: k + max(out.cameras, default=0) for k in model.cameras}
-    _add_rigs(out, model, cameras)
-    _add_frames(out, model, cameras, ids)
-    _add_points(out, model, ids)
+@dataclass(frozen=True)
+class Registration:
+    """For each image of a scene (N,): whether it has a pose in the model, how many points it sees with small
+    residuals, and the least number of these."""
+
+    placed: np.ndarray  # (N,) bool
+    points: np.ndarray  # (N,) i8
+    min_points: int
+
+    @property
+    def registered(self) -> np.ndarray:
+        """(N,) bool: it has a pose confirmed by points."""
+        return self.placed & (self.points >= self.min_points)
+
+    @property
+    def by_rig(self) -> np.ndarray:
+        """(N,) bool: it has a pose, from the other cameras of its rig or from very few points."""
+        return self.placed & (self.points < self.min_points)
 
 
-def _add_rigs(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, cameras: dict[int, int]) -> None:
-    for old, new in cameras.items():
-        fields = model.camera(old).todict()
-        out.add_camera(pycolmap.Camera(**{**fields, "camera_id": new}))
-    first = max(out.rigs, default=0)
-    for number, rig in sorted(model.rigs.items()):
-        copy = pycolmap.Rig(rig_id=first + number)
-        copy.add_ref_sensor(_sensor(rig.ref_sensor_id, cameras))
-        for sensor, pose in rig.non_ref_sensors.items():
-            copy.add_sensor(_sensor(sensor, cameras), pose)
-        out.add_rig(copy)
+def registration(model: Any, scene: Scene, tuning: RegisteredTuning) -> Registration:
+    """Of the images of a scene in a ``pycolmap.Reconstruction``; images go by name."""
+    found = agreeing_points(model, tuning)
+    placed = np.array([name in found for name in scene.names], bool)
+    return Registration(placed, np.array([found.get(name, 0) for name in scene.names], int), tuning.min_points)
 
 
-def _add_frames(
-    out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, cameras: dict[int, int], ids: dict[int, int]
-) -> None:
-    rigs = max(out.rigs) - max(model.rigs)
-    taken = max([*out.frames, *model.frames])
-    for number in sorted({model.image(k).frame_id for k in ids}):
-        old = model.frame(number)
-        taken += number in out.frames
-        frame = pycolmap.Frame(frame_id=taken if number in out.frames else number, rig_id=old.rig_id + rigs)
-        images = [model.image(d.id) for d in old.data_ids if d.id in ids]
-        for image in images:
-            sensor = _sensor(image.data_id.sensor_id, cameras)
-            frame.add_data_id(pycolmap.data_t(sensor, ids[image.image_id]))
-        frame.rig_from_world = old.rig_from_world
-        out.add_frame(frame)
-        for image in images:
-            copy = pycolmap.Image(
-                name=image.name, camera_id=cameras[image.camera_id], image_id=ids[image.image_id],
-                keypoints=[p.xy for p in image.points2D],
-            )  # fmt: skip
-            copy.frame_id = frame.frame_id
-            out.add_image(copy)
-        out.register_frame(frame.frame_id)
+def agreeing_points(model: Any, tuning: RegisteredTuning) -> dict[str, int]:
+    """By name of each image with a pose in a ``pycolmap.Reconstruction``: its points with small residuals."""
+    return {i.name: _agreeing(model, i, tuning) for i in model.images.values() if i.has_pose}
 
 
-def _add_points(out: pycolmap.Reconstruction, model: pycolmap.Reconstruction, ids: dict[int, int]) -> None:
-    for _, point in sorted(model.points3D.items()):
-        track = [e for e in point.track.elements if e.image_id in ids]
-        if len(track) < 2:
-            continue
-        elements = [pycolmap.TrackElement(ids[e.image_id], e.point2D_idx) for e in track]
-        number = out.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
-        out.points3D[number].error = point.error
+def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
+    rows = image.get_observation_point2D_idxs()
+    asked = [image.point2D(rows[k]) for k in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
+    if not asked:
+        return 0
+    pose = image.cam_from_world().matrix()
+    local = np.array([model.points3D[p.point3D_id].xyz for p in asked]) @ pose[:, :3].T + pose[:, 3]
+    ahead = local[:, 2] > 0
+    place = np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead]), float)
+    off = np.linalg.norm(place - np.array([p.xy for p in asked])[ahead], axis=1)
+    return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN counts as disagreement
 
 
-def _sensor(sensor: pycolmap.sensor_t, cameras: dict[int, int]) -> pycolmap.sensor_t:
-    return pycolmap.sensor_t(sensor.type, cameras[sensor.id])
+# --- adjustments ------------------------------------------------------------------------------------------------------
+
+
+# COLMAP replaces the sparse factorisation by an iterative solver at 1000 images, rig or not. Factorised are
+# the frames, and in surveys each sees few others: a corridor of 2000 images in 500 frames took five times the time of
+# one of 1000 (benchmarks/sfm/README.md). Above this number the fill-in of loose collections might not fit into memory.
+MOST_FRAMES = 10_000
+# Ceres adds up the parts of its threads in the order they come (github.com/ceres-solver/ceres-solver/issues/664): with
+# two, no run is like another. One thread gives every run and every machine's number of cores the same sums. (Costs
+# written in Python would wait for each other anyway: the thread that solves holds the interpreter's lock.)
+THREADS = 1
+
+
+def options_of(
+    iterations: int, tolerance: float | None = None, robust_px: float | None = None, **refine: bool
+) -> pycolmap.BundleAdjustmentOptions:
+    """Options of an adjustment with reproducible bits: at most ``iterations``, until the cost changes by a relative
+    amount less than ``tolerance``, with Cauchy's loss of scale ``robust_px``, if these are given;
+    ``refine_...``: parameters adjusted that COLMAP would hold, or the other way round."""
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False, **refine)
+    if robust_px is not None:
+        _change(options, loss_function_type=pycolmap.LossFunctionType.CAUCHY, loss_function_scale=robust_px)
+    limits = {} if tolerance is None else {"function_tolerance": tolerance}
+    _change(options, {"max_num_iterations": iterations, **limits})
+    repeatable(options)
+    return options
+
+
+def _change(options: pycolmap.BundleAdjustmentOptions, solver: Mapping[str, Any] | None = None, **ceres: Any) -> None:
+    """Set options of Ceres and of its solver; pycolmap returns copies of them."""
+    own = options.ceres
+    inner = own.solver_options
+    for name, value in (solver or {}).items():
+        setattr(inner, name, value)
+    own.solver_options = inner
+    for name, value in ceres.items():
+        setattr(own, name, value)
+    options.ceres = own
+
+
+def all_images(model: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
+    """An adjustment of all images that have a pose."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    return config
+
+
+def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
+    """Make an adjustment of so many frames and images factorise, unless it is too large, and always the same sums."""
+    if frames <= MOST_FRAMES:
+        most = max(options.ceres.max_num_images_direct_sparse_cpu_solver, images)
+        _change(options, max_num_images_direct_sparse_cpu_solver=most)
+    repeatable(options)
+
+
+def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Make an adjustment give the same bits each time, and on a machine with a GPU those of one without."""
+    _change(options, {"num_threads": THREADS}, use_gpu=False)
+
+
+def undamped(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Make an adjustment of a model that was adjusted before begin with whole steps: few suffice at any length."""
+    # Ceres' own 1e4 damps what single observations hardly tell and all together do: where positions want a long model
+    # to lie, and how it bends
+    _change(options, {"initial_trust_region_radius": 1e7})

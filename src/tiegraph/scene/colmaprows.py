@@ -24,7 +24,7 @@ from tiegraph.errors import InputError
 from tiegraph.scene.atomic import remove, replacing
 from tiegraph.scene.colmapdatabase import copy_verified, explained
 from tiegraph.scene.colmapmodel import rigid3d, sensor_id
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
@@ -38,22 +38,22 @@ def create_database(path: Path, scene: Scene) -> None:
     Sensors of unknown extrinsics are rigs of their own (see above). The file appears whole or not at all. Raises
     sensor without a camera or a full disk.
     """
-    for sensor in scene.all_sensors:
+    cameras = []
+    for key, sensor in enumerate(scene.all_sensors):
         if sensor.camera is None:
             raise InputError(f"sensor {sensor.name!r} has no camera: no image of it was found, remove it from the rig")
+        cameras.append(_camera(sensor.camera, key + 1))
     try:
         with replacing(path) as temporary:
             limits.need_room(path, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
             with writing(temporary) as database:
-                for key, sensor in enumerate(scene.all_sensors):
-                    database.write_camera(_camera(sensor.camera, key + 1), use_camera_id=True)
+                for camera in cameras:
+                    database.write_camera(camera, use_camera_id=True)
                 keys = (scene.sensor_key + 1).tolist()
-                images = {
-                    k: pycolmap.Image(name=name, camera_id=keys[k], image_id=k + 1)
-                    for k, name in enumerate(scene.names)
-                }
-                for image in images.values():
-                    database.write_image(image, use_image_id=True)
+                images = {}
+                for k, name in enumerate(scene.names):
+                    images[k] = pycolmap.Image(name=name, camera_id=keys[k], image_id=k + 1)
+                    database.write_image(images[k], use_image_id=True)
                 _write_frames(database, scene, images, dict(enumerate(scene.rigs)))
                 _write_positions(database, scene, images, scene.world_from_rig[:, :3, 3], scene.position_sigma_m**2)
             remove(path)
@@ -63,9 +63,8 @@ def create_database(path: Path, scene: Scene) -> None:
         raise explained(path, error) from error
 
 
-def _camera(given: pycolmap.Camera | None, camera_id: int) -> pycolmap.Camera:
+def _camera(given: pycolmap.Camera, camera_id: int) -> pycolmap.Camera:
     camera = copy(given)
-    assert camera is not None  # checked before
     camera.camera_id = camera_id
     return camera
 
@@ -95,8 +94,8 @@ def write_working_copy(
         images = {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
         # The focal length by the previews is a better initial value than the guess.
         for key, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
-            if scene.all_sensors[key].camera is not None:
-                database.update_camera(_camera(scene.all_sensors[key].camera, camera_id))
+            if (camera := scene.all_sensors[key].camera) is not None:
+                database.update_camera(_camera(camera, camera_id))
         _write_frames(database, scene, images, with_rig)
         if positions is not None:
             _write_positions(database, scene, images, *positions)

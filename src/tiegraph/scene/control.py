@@ -18,8 +18,8 @@ from tiegraph.geometry.geodesy import (
 )
 from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.gnss.fixes import HEIGHTS_M, beyond
-from tiegraph.scene.markpixels import AS_IS, EDGE_PX, Copy, file_camera, in_file, lies_in, prepared_pixel, within
 from tiegraph.scene.names import found_by, lookup_of
+from tiegraph.scene.rig import AS_IS, EDGE_PX, Copy, file_camera, prepared_pixel, within
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import some
@@ -102,7 +102,7 @@ def locate(
     ``orientation``: by EXIF, of images by scene index, 1 if not listed. Marks in images that are not here, or where the
     images were cropped, are left out and noted with file and line, and so are points that keep less than two. Raises
     InputError if no mark is in an image of the survey, if one lies outside its image and in no copy of the images do
-    all lie inside (``markpixels.py``), if one image has two marks of a point, if coordinates lie outside their CRS, far
+    all lie inside (``rig.Copy``), if one image has two marks of a point, if coordinates lie outside their CRS, far
     from the survey, or at heights beyond ``heights_m``.
     """
     notes = list(file.notes)
@@ -116,7 +116,15 @@ def locate(
         raise InputError(f"{where}: height {high[k]:.10g} m, {beyond(heights_m)}")
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
-    _few_marks(file, np.bincount(marks.point, minlength=len(file.points)), notes)
+    count = np.bincount(marks.point, minlength=len(file.points))
+    own = [p.name not in file.targets for p in file.points]  # notes on targets come from their search
+    few = np.flatnonzero((count < MIN_MARKS) & own)
+    if len(few):
+        names = some((f"{file.points[k].name!r} ({count[k]})" for k in few), _SHOWN)
+        notes.append(
+            f"{file.path.name}, line {file.points[few[0]].line}: {len(few)} of {len(file.points)} points have less "
+            f"than {MIN_MARKS} marks in the survey's images and cannot be used: {names}"
+        )
     return Control(
         names=tuple(p.name for p in file.points),
         world_m=world,
@@ -179,18 +187,15 @@ def _marks_of(
     )
 
 
-def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, list[int]]:
-    """Scene index of each mark's image and the rows of the marks that have one."""
-    lookup = image_lookup(scene)
-    found, keep, unknown = [], [], []
-    for k, mark in enumerate(file.marks):
-        index = found_by(lookup, mark.image)
-        if index is None:
-            unknown.append(mark)
-        else:
-            found.append(index)
-            keep.append(k)
-    if not keep:
+def _marks_in(
+    file: GcpFile, scene: Scene, notes: list[str], turned: Mapping[int, int]
+) -> list[tuple[FileMark, int, tuple[float, float]]]:
+    """Marks that are in the survey's prepared images, each with its image's scene index and its pixel there."""
+    lookup, name = image_lookup(scene), file.of_marks.name
+    images = [found_by(lookup, mark.image) for mark in file.marks]
+    known = [(mark, image) for mark, image in zip(file.marks, images) if image is not None]
+    unknown = [mark for mark, image in zip(file.marks, images) if image is None]
+    if not known:
         example = f" (line {unknown[0].line}: {unknown[0].image!r})" if unknown else ""
         option = "--gcp" if file.marks_path is None else "--marks"
         raise InputError(
@@ -198,59 +203,47 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
             f"image folder, such as {scene.source_name(0)}, or by file name where that is unique"
         )
     for mark in unknown[:_SHOWN]:
-        notes.append(
-            f"{file.of_marks.name}, line {mark.line}: image {mark.image!r} is not in the survey; mark left out"
-        )
+        notes.append(f"{name}, line {mark.line}: image {mark.image!r} is not in the survey; mark left out")
     if len(unknown) > _SHOWN:
-        notes.append(f"{file.of_marks.name}: {len(unknown)} marks in total name images that are not in the survey")
-    return np.array(found, int), keep
-
-
-def _marks_in(
-    file: GcpFile, scene: Scene, notes: list[str], turned: Mapping[int, int]
-) -> list[tuple[FileMark, int, tuple[float, float]]]:
-    """Marks that are in the survey's prepared images, each with its image's scene index and its pixel there."""
-    image, keep = _images(file, scene, notes)
-    inside = _check_inside(file, dict(zip(keep, image.tolist())), scene, turned)
+        notes.append(f"{name}: {len(unknown)} marks in total name images that are not in the survey")
+    inside = _check_inside(file, known, scene, turned)
     if not inside:
-        notes.append(
-            f"{file.of_marks.name}: marks lie outside their images; made in larger or rotated ones, the rays decide"
-        )
+        notes.append(f"{name}: marks lie outside their images; made in larger or rotated ones, the rays decide")
     marks, cut = [], []
     first: dict[tuple[str, int], FileMark] = {}
-    for index, mark in zip(image.tolist(), (file.marks[k] for k in keep)):
-        known = first.setdefault((mark.name, index), mark)
-        if known is not mark and known.xy != mark.xy:  # one image by two names
+    for mark, index in known:
+        before = first.setdefault((mark.name, index), mark)
+        if before is not mark and before.xy != mark.xy:  # one image by two names
             raise InputError(
                 f"{file.of_marks}, line {mark.line}: point {mark.name!r} is marked in {scene.source_name(index)} at "
-                f"{mark.xy}, but in line {known.line} at {known.xy}: keep the right one"
+                f"{mark.xy}, but in line {before.line} at {before.xy}: keep the right one"
             )
         sensor = scene.sensor_of(index)
         xy = prepared_pixel(mark.xy, sensor)
-        if known is not mark:
-            continue
-        if inside and not lies_in(xy, sensor):
+        if before is mark and inside and not within(xy, sensor.camera):
             cut.append(mark)
-            continue
-        marks.append((mark, index, xy))
+        elif before is mark:
+            marks.append((mark, index, xy))
     if cut:
         notes.append(
-            f"{file.of_marks.name}, line {cut[0].line}: {len(cut)} marks lie where the images were cropped or "
-            f"undistorted away, the first of point {cut[0].name!r} in {cut[0].image!r}; left out"
+            f"{name}, line {cut[0].line}: {len(cut)} marks lie where the images were cropped or undistorted away, the "
+            f"first of point {cut[0].name!r} in {cut[0].image!r}; left out"
         )
     return marks
 
 
-def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned: Mapping[int, int]) -> bool:
-    """Whether all marks (row -> scene index) lie in their images; else they must do so in a copy of these."""
-    at = [(file.marks[row], k, scene.sensor_of(k)) for row, k in images.items()]
+def _check_inside(
+    file: GcpFile, marks: Sequence[tuple[FileMark, int]], scene: Scene, turned: Mapping[int, int]
+) -> bool:
+    """Whether all marks, with scene indices, lie in their images; else they must do so in a copy of these."""
+    at = [(mark, k, scene.sensor_of(k)) for mark, k in marks]
 
     def fit(copy: Copy) -> bool:
-        return all(in_file(copy.pixel(m.xy, s, turned.get(k, 1)), s) for m, k, s in at)
+        return all(within(copy.pixel(m.xy, s, turned.get(k, 1)), file_camera(s)) for m, k, s in at)
 
     if fit(AS_IS):
         return True
-    out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not in_file(m.xy, s)]
+    out = [(m, k, camera) for m, k, s in at if (camera := file_camera(s)) is not None and not within(m.xy, camera)]
     wide, high = (any(m.xy[i] > (c.width, c.height)[i] + EDGE_PX for m, _, c in out) for i in (0, 1))
     # only marks in larger images leave the image in both directions: not a typing error, not exchanged columns
     sizes = (1.0, file.largest_copy) if wide and high else (1.0,)
@@ -262,19 +255,6 @@ def _check_inside(file: GcpFile, images: Mapping[int, int], scene: Scene, turned
         f"{file.of_marks}, line {mark.line}: the mark ({mark.xy[0]:g}, {mark.xy[1]:g}) of point {mark.name!r} lies "
         f"outside {scene.source_name(k)}, which has {camera.width} x {camera.height} pixels: "
         + ("columns px and py exchanged?" if exchanged else "marked in an image of another size?")
-    )
-
-
-def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
-    own = [p.name not in file.targets for p in file.points]  # notes on targets come from their search
-    few = np.flatnonzero((count < MIN_MARKS) & own)
-    if not len(few):
-        return
-    first = file.points[few[0]]
-    names = some((f"{file.points[k].name!r} ({count[k]})" for k in few), _SHOWN)
-    notes.append(
-        f"{file.path.name}, line {first.line}: {len(few)} of {len(file.points)} points have less than {MIN_MARKS} "
-        f"marks in the survey's images and cannot be used: {names}"
     )
 
 

@@ -57,15 +57,6 @@ class _Spill:
     start: np.ndarray
     count: np.ndarray
 
-    def nodes(self) -> Iterator[tuple[np.ndarray, bytes]]:
-        """(key, records) of each node, coarse ones first."""
-        node = row_numbers(self.keys.T) if len(self.keys) else np.zeros(0, int)
-        order = order_of(node)
-        begin = run_starts(node[order])
-        for first, last in zip(begin, np.r_[begin[1:], len(order)]):
-            runs = [self.rows[self.start[r] : self.start[r] + self.count[r]].tobytes() for r in order[first:last]]
-            yield self.keys[order[first]], b"".join(runs)
-
 
 def write_copc(
     parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float, scratch: Path, said: str = ""
@@ -140,7 +131,13 @@ def _write(
     header.mins, header.maxs = low, high
     header.write_to(out)
     keys = _compressed(out, laz, spill, header.point_format.size)
-    entries = _entries(out, laz, keys, header.offset_to_point_data)
+    entries = np.zeros(len(keys), _ENTRY)  # the hierarchy: the place of each node's chunk, by LAZ's chunk table
+    if len(keys):
+        first = header.offset_to_point_data
+        out.seek(first)
+        table = np.array(lazrs.read_chunk_table(out, laz), np.int64).reshape(-1, 2)
+        entries["key"], entries["points"], entries["bytes"] = keys, table[:, 0], table[:, 1]
+        entries["offset"] = first + 8 + np.r_[0, np.cumsum(table[:-1, 1])]  # 8: where the chunk table is
     out.seek(0, 2)
     header.start_of_first_evlr, header.number_of_evlrs = out.tell(), 1
     out.write(_EVLR.pack(0, b"copc", 1000, entries.nbytes, b"EPT hierarchy"))
@@ -152,36 +149,26 @@ def _write(
     header.write_to(out, ensure_same_size=True)
 
 
-def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> list[np.ndarray]:
-    """Write each node as a chunk; the nodes in their order."""
+def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> np.ndarray:
+    """Write each node as a chunk, coarse ones first; (K, 4) the nodes in their order."""
     compressor = lazrs.ParLasZipCompressor(out, laz)
     compressor.reserve_offset_to_chunk_table()
-    keys: list[np.ndarray] = []
+    node = row_numbers(spill.keys.T) if len(spill.keys) else np.zeros(0, int)
+    order = order_of(node)
+    begin = run_starts(node[order])
     held: list[bytes] = []
     points = 0
-    for key, records in spill.nodes():
-        keys.append(key)
-        held.append(records)
-        points += len(records) // size
+    for first, last in zip(begin, np.r_[begin[1:], len(order)]):
+        runs = [spill.rows[spill.start[r] : spill.start[r] + spill.count[r]].tobytes() for r in order[first:last]]
+        held.append(b"".join(runs))
+        points += len(held[-1]) // size
         if points > 2_000_000:  # points compressed at once
             compressor.compress_chunks(held)
             held, points = [], 0
     if held:
         compressor.compress_chunks(held)
     compressor.done()
-    return keys
-
-
-def _entries(out: BinaryIO, laz: lazrs.LazVlr, keys: list[np.ndarray], first: int) -> np.ndarray:
-    """The hierarchy: the place of each node's chunk, by LAZ's chunk table."""
-    entries = np.zeros(len(keys), _ENTRY)
-    if not keys:
-        return entries
-    out.seek(first)
-    table = np.array(lazrs.read_chunk_table(out, laz), np.int64).reshape(-1, 2)
-    entries["key"], entries["points"], entries["bytes"] = np.stack(keys), table[:, 0], table[:, 1]
-    entries["offset"] = first + 8 + np.r_[0, np.cumsum(table[:-1, 1])]  # 8: where the chunk table is
-    return entries
+    return spill.keys[order[begin]]
 
 
 def copc_box(path: Path, origin: Origin | None, low: np.ndarray, high: np.ndarray) -> Cloud:

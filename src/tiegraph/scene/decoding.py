@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from PIL import Image, ImageFile
+from PIL.ExifTags import Base
 
 from tiegraph.scene.exif import orientation_in
-from tiegraph.scene.xmp import XMP_TAG
 
 BEGINS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"II*\0", b"MM\0*")  # JPEG, PNG, TIFF and most raw formats
 LARGEST_PX = 1_000_000_000  # bound of memory: PIL refuses more than 179 Mpx; survey cameras and mosaics go beyond
@@ -129,7 +129,7 @@ def _header_of_raw(data: bytes) -> Image.Image | None:
     header = Image.new("1", (1, 1))
     try:
         header.getexif().load(b"II*\0" + data[4:] if data[:2] == b"II" else data)
-        header.info["xmp"] = header.getexif().get(XMP_TAG, b"")
+        header.info["xmp"] = header.getexif().get(Base.XMLPacket, b"")
         return header
     except Exception:  # no TIFF; for a damaged one PIL raises anything from struct.error to SyntaxError
         pass
@@ -167,10 +167,10 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return pixels
 
 
-def decode_deep(data: bytes) -> np.ndarray | None:
+def decode_deep(data: bytes, flag: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
     """Pixels of a file as stored, with their depth, BGR, by OpenCV; None if it cannot."""
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION) if data else None
     except cv2.error:
         return None
 
@@ -179,9 +179,8 @@ def read_pixels(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray | No
     """Pixels (H, W) u1, or (H, W, 3) BGR with IMREAD_COLOR, as stored (an EXIF rotation is not applied); None if the
     file is not there or no image. OpenCV never sees the path: one that is not UTF-8 would end the process."""
     try:
-        data = Path(path).read_bytes()
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION) if data else None
-    except (OSError, cv2.error):
+        return decode_deep(Path(path).read_bytes(), flag)
+    except OSError:
         return None
 
 

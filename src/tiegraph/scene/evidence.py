@@ -20,6 +20,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import fdtrc, ndtri, stdtr
 
+from tiegraph.geometry.align import MAD
 from tiegraph.scene.tuning import TrendTuning
 
 # The limit of a contradiction, everywhere: by the probability, for each test, that agreement is called one.
@@ -74,13 +75,9 @@ class Contradiction:
 def contradictions(statements: Sequence[Statement]) -> list[Contradiction]:
     """Contradictory statements of one quantity, the worst first; those without a sigma are not tested."""
     known = [s for s in statements if np.isfinite([s.value, s.sigma]).all() and s.sigma > 0]
-    out = []
-    for a, b in combinations(known, 2):
-        if a.quantity == b.quantity and a.source != b.source:
-            sigmas = abs(a.value - b.value) / float(np.hypot(a.sigma, b.sigma))
-            if sigmas > LIMIT:
-                out.append(Contradiction(a, b, sigmas))
-    return sorted(out, key=lambda c: -c.sigmas)
+    pairs = ((a, b) for a, b in combinations(known, 2) if a.quantity == b.quantity and a.source != b.source)
+    told = [Contradiction(a, b, abs(a.value - b.value) / float(np.hypot(a.sigma, b.sigma))) for a, b in pairs]
+    return sorted((c for c in told if c.sigmas > LIMIT), key=lambda c: -c.sigmas)
 
 
 def table(statements: Sequence[Statement]) -> dict:
@@ -144,7 +141,10 @@ def trend(
     y = np.asarray(values, float)
     x, sigma = np.linspace(-1.0, 1.0, len(y)), np.broadcast_to(np.asarray(sigma, float), y.shape)
     keep = np.flatnonzero(np.isfinite(y))
-    keep = keep[~_spikes((y / sigma)[keep], tuning)]
+    if len(keep) >= tuning.min_rows:  # without values far from the middle between their neighbours
+        told = (y / sigma)[keep]
+        off = np.abs(told[1:-1] - 0.5 * (told[:-2] + told[2:]))
+        keep = keep[np.r_[True, off <= tuning.spike_sigmas * MAD * float(np.median(off)) + 1e-12, True]]
     x, y, sigma = x[keep], y[keep], sigma[keep]
     if len(y) < tuning.min_rows or np.ptp(y) == 0:
         return None
@@ -203,15 +203,6 @@ def _correlation(rest: np.ndarray, unknowns: int, tuning: TrendTuning) -> float:
     r += (unknowns + (unknowns + 2) * r) / count
     r += tuning.caution_sigmas * float(np.sqrt(max(1 - r * r, 0.0) / count))
     return float(np.clip(r, 0.0, tuning.max_correlation))
-
-
-def _spikes(y: np.ndarray, tuning: TrendTuning) -> np.ndarray:
-    """(K,) values far from the middle between their neighbours (those beside such a one may go with it)."""
-    out = np.zeros(len(y), bool)
-    if len(y) >= tuning.min_rows:
-        off = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
-        out[1:-1] = off > tuning.spike_sigmas * 1.4826 * float(np.median(off)) + 1e-12
-    return out
 
 
 def figures(value: float, sigma: float) -> str:

@@ -1,37 +1,63 @@
-"""Metadata that a camera wrote into its file: focal length, position, time, orientation."""
+"""Metadata that a camera wrote into its file, as EXIF 2.32 (CIPA DC-008) and as XMP.
+
+The rig's tags in XMP are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense
+and Sentera, as attributes, as elements or as lists: RigCameraIndex, BandName, RigRelatives and
+RigRelativesReferenceRigCameraIndex; and GPSXYAccuracy, GPSZAccuracy, in metres. DJI's are in its namespace drone-dji
+(DJI, photo file description): GpsLatitude, GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0
+none, 16 single, 34 float, 50 fixed) and the standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres. Adobe's
+programs omit EXIF in some formats and write its tags as exif:GPSLatitude="35,41.37N" (XMP part 2).
+"""
 
 import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
+from PIL.ExifTags import GPS, IFD, Base
+from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.geodesy import crs_transformer
-from tiegraph.scene.cells import seconds_of
+from tiegraph.scene.cells import number, seconds_of
 from tiegraph.scene.gnss.fixes import SIGMA_RANGE_M
-from tiegraph.scene.xmp import NAN, Place, RigTags, ratio, read_place, read_rig_tags, xmp_text, xmp_value
 
-# Tags of the EXIF 2.32 standard (CIPA DC-008).
-EXIF_IFD, GPS_IFD = 0x8769, 0x8825
-_MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
-TIME_ORIGINAL, SUBSEC_ORIGINAL, OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
-_TIME_DIGITIZED, _SUBSEC_DIGITIZED, _OFFSET_DIGITIZED, _SUBSEC, _OFFSET = 0x9004, 0x9292, 0x9012, 0x9290, 0x9010
-_EXPOSURE_S, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
-_FOCAL_MM, _FOCAL_35MM, _LENS, _ZOOM = 0x920A, 0xA405, 0xA434, 0xA404
-_PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
+_DJI = "drone-dji"  # its namespace in XMP
+NAN = float("nan")
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
 # Tags by which Adobe's programs write the same: tag, namespace and name in XMP.
-_BASE_IN_XMP = ((_MAKE, "tiff", "Make"), (_MODEL, "tiff", "Model"))
-_DETAIL_IN_XMP = ((TIME_ORIGINAL, "exif", "DateTimeOriginal"), (_FOCAL_MM, "exif", "FocalLength"),
-                  (_FOCAL_35MM, "exif", "FocalLengthIn35mmFilm"), (_LENS, "aux", "Lens"))  # fmt: skip
+_BASE_IN_XMP = ((Base.Make, "tiff", "Make"), (Base.Model, "tiff", "Model"))
+_DETAIL_IN_XMP = (
+    *((tag, "exif", tag.name) for tag in (Base.DateTimeOriginal, Base.FocalLength, Base.FocalLengthIn35mmFilm)),
+    (Base.LensModel, "aux", "Lens"),
+)
 _WHEN = re.compile(r"(\d{4})[:/-](\d\d)[:/-](\d\d)[T ](\d\d):(\d\d):(\d\d)(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
 _ZONE = re.compile(r"Z|([+-])(\d\d):?(\d\d)")
 _LIKE_WGS84 = re.compile(r"(WGS|ITRF|JGD|ETRS|GDA|NAD83|CGCS).*|")  # datums within some metres of it
 _TOKYO, _TOKYO_SIGMA_M = "EPSG:4301", 9.0  # the accuracy that EPSG states of its parameters (operation 1230)
 _CLOCK_OFF_S = 120.0  # of a camera whose receiver tells its zone: half of the least difference of zones is 450 s
+
+
+@dataclass(frozen=True)
+class RigTags:
+    """The rig of one image; index -1, "" and () = not written."""
+
+    index: int = -1  # of the camera in its rig
+    band: str = ""
+    relatives_deg: tuple[float, ...] = ()  # omega, phi, kappa of this camera in the reference camera
+    reference: int = -1  # index of the reference camera
+
+
+class Place(NamedTuple):
+    """Position of an image, and its sigmas (horizontal, up); NaN = not written."""
+
+    lat_deg: float = NAN
+    lon_deg: float = NAN
+    height_m: float = NAN
+    sigma_m: float = NAN
+    sigma_up_m: float = NAN
 
 
 @dataclass(frozen=True)
@@ -70,27 +96,28 @@ def orientation_of(path: Path) -> int:
 def orientation_in(image: Any) -> int:
     """EXIF orientation of an opened PIL image, 1 to 8; 1 if it has none."""
     try:
-        return _orientation(image.getexif())
+        number = _number(image.getexif().get(Base.Orientation, 1))
     except Exception:  # see read_exif
         return 1
+    return int(number) if number in range(1, 9) else 1
 
 
 def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float]) -> Exif:
-    """EXIF of an opened PIL image, whose pixels are ``size`` (width, height); damaged entries count as not written, as
-    do focal lengths outside a range (in longer image sides)."""
+    """EXIF of an opened PIL image of ``size`` (width, height). Damaged entries, and focal lengths outside a range (in
+    longer image sides), count as not written."""
     try:
         base = image.getexif()
-        detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
+        detail, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
     except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
         return Exif()
     xmp = xmp_text(image)
     base, detail = _with_xmp(dict(base), xmp, _BASE_IN_XMP), _with_xmp(detail, xmp, _DETAIL_IN_XMP)
     place, doubt = _place(gps, *read_place(xmp))
     time_s, utc = _time(base, detail)
-    iso = detail.get(_ISO, 1)
+    iso = detail.get(Base.ISOSpeedRatings, 1)
     sensitivity = _positive(iso[0] if isinstance(iso, tuple) and iso else iso)
     return Exif(
-        orientation=_orientation(base),
+        orientation=orientation_in(image),
         focal_px=_focal(detail, size, focal_range),
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
@@ -100,12 +127,12 @@ def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float
         time_s=time_s,
         time_utc=utc,
         zone_s=NAN if utc else _zone(gps, time_s),
-        make=_text(base.get(_MAKE)),
-        model=_text(base.get(_MODEL)),
-        lens=_text(detail.get(_LENS)),
-        focal_mm=_positive(detail.get(_FOCAL_MM)),
+        make=_text(base.get(Base.Make)),
+        model=_text(base.get(Base.Model)),
+        lens=_text(detail.get(Base.LensModel)),
+        focal_mm=_positive(detail.get(Base.FocalLength)),
         zoom=_zoom(detail),
-        exposure=_positive(detail.get(_EXPOSURE_S)) * sensitivity / _positive(detail.get(_F_NUMBER, 1)) ** 2,
+        exposure=_positive(detail.get(Base.ExposureTime)) * sensitivity / _positive(detail.get(Base.FNumber, 1)) ** 2,
         rig=read_rig_tags(xmp),
         doubt=doubt,
     )
@@ -123,17 +150,24 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
         if abs(xmp.lat_deg) <= 90 and abs(xmp.lon_deg) <= 180 and (xmp.lat_deg, xmp.lon_deg) != (0, 0):
             return xmp, ""
     # 2 and 3 (EXIF 3.0): above and below sea level, no ellipsoid; some programs write a digit
-    below = gps.get(5) in (1, 3, b"\x01", b"\x03", b"1", "1")
-    height = _number(gps.get(6), NAN) * (-1 if below else 1)
-    lat, lon = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W")
-    known, given = bool(_text(gps.get(1)) and _text(gps.get(3))), 2 in gps or 4 in gps
+    below = gps.get(GPS.GPSAltitudeRef) in (1, 3, b"\x01", b"\x03", b"1", "1")
+    height = _number(gps.get(GPS.GPSAltitude), NAN) * (-1 if below else 1)
+    lat, lon = _angle(gps, GPS.GPSLatitude, "S"), _angle(gps, GPS.GPSLongitude, "W")
+    known, given = (
+        bool(_text(gps.get(GPS.GPSLatitudeRef)) and _text(gps.get(GPS.GPSLongitudeRef))),
+        GPS.GPSLatitude in gps or GPS.GPSLongitude in gps,
+    )
     empty = np.isnan([lat, lon]).all() or (lat, lon) == (0, 0)
-    if empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg)):
-        if np.isfinite([xmp.lat_deg, xmp.lon_deg]).all():
-            lat, lon, known, given = xmp.lat_deg, xmp.lon_deg, True, True
+    coarser = empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg))
+    if coarser and np.isfinite([xmp.lat_deg, xmp.lon_deg]).all():
+        lat, lon, known, given = xmp.lat_deg, xmp.lon_deg, True, True
     if not height > 0 and not height < 0 and np.isfinite(xmp.height_m):
         height = xmp.height_m
-    sigmas = (_positive(gps.get(31)), NAN) if rtk or 31 in gps else (xmp.sigma_m, xmp.sigma_up_m)
+    sigmas = (
+        (_positive(gps.get(GPS.GPSHPositioningError)), NAN)
+        if rtk or GPS.GPSHPositioningError in gps
+        else (xmp.sigma_m, xmp.sigma_up_m)
+    )
     if not given:
         return Place(), ""
     if np.isnan([lat, lon]).all():
@@ -146,8 +180,8 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
         return Place(), f"an accuracy of {sigmas[0]:g} m is none"
     flat, up = (s if s >= SIGMA_RANGE_M[0] else NAN for s in sigmas)
     place = Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
-    place, doubt = _in_wgs84(place, _text(gps.get(18)))
-    if _text(gps.get(9)).upper() == "V":
+    place, doubt = _in_wgs84(place, _text(gps.get(GPS.GPSMapDatum)))
+    if _text(gps.get(GPS.GPSStatus)).upper() == "V":
         return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
     if not known:
         return place, "north or south, east or west are not given (N and E assumed)"
@@ -174,14 +208,16 @@ def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
     """Focal length in pixels of the file, by its 35 mm equivalent or by the size of a pixel."""
     (width, height), longer = size, max(size)
-    wide, high = _positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT))
+    wide, high = _positive(detail.get(Base.ExifImageWidth)), _positive(detail.get(Base.ExifImageHeight))
     if not wide * high > 0:
         wide, high = size
     smaller = min(max(width / wide, height / high), max(width / high, height / wide))
-    equivalent = _positive(detail.get(_FOCAL_35MM))
+    equivalent = _positive(detail.get(Base.FocalLengthIn35mmFilm))
     focal = equivalent / _DIAGONAL_35MM * (wide**2 + high**2) ** 0.5 * smaller
-    mm, density = _positive(detail.get(_FOCAL_MM)), _positive(detail.get(_PLANE_X))
-    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
+    mm, density = _positive(detail.get(Base.FocalLength)), _positive(detail.get(Base.FocalPlaneXResolution))
+    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}.get(
+        int(_number(detail.get(Base.FocalPlaneResolutionUnit, 2), 2)), 25.4
+    )
     by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
     if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
         focal *= zoom
@@ -189,33 +225,34 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
 
 
 def _zoom(detail: dict) -> float:
-    zoom = _positive(detail.get(_ZOOM))
-    return zoom if zoom > 1 else 1.0
+    return max(1.0, _positive(detail.get(Base.DigitalZoomRatio)))  # 1 of NaN
 
 
-def _orientation(base: Any) -> int:
-    number = _number(base.get(_ORIENTATION, 1))
-    return int(number) if number in range(1, 9) else 1
-
-
-def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
-    """Degrees of up to three numbers, of which the last may be empty (0/0); some cameras write a sign beside the
-    letter."""
+def _angle(gps: dict, key: int, negative: str) -> float:
+    """Degrees of up to three numbers, the last perhaps empty (0/0); some cameras write a sign beside the letter."""
     given = gps.get(key)
     parts = [_number(v) for v in (given if isinstance(given, tuple) else (given,))][:3]
     if not parts or np.isnan(parts[0]):
         return NAN
     size = sum(abs(part) / 60**k for k, part in enumerate(parts) if np.isfinite(part))
-    return -size if parts[0] < 0 or _text(gps.get(reference_key)).upper().startswith(negative) else size
+    return -size if parts[0] < 0 or _text(gps.get(key - 1)).upper().startswith(negative) else size
 
 
 def _time(base: dict, detail: dict) -> tuple[float, bool]:
     """Seconds since 1970, and whether they are UTC: by the first valid one of EXIF's three times."""
-    offset = detail.get(_OFFSET)
+    offset = detail.get(Base.OffsetTime)
     for text, fraction, zone in (
-        (detail.get(TIME_ORIGINAL), detail.get(SUBSEC_ORIGINAL), detail.get(OFFSET_ORIGINAL, offset)),
-        (detail.get(_TIME_DIGITIZED), detail.get(_SUBSEC_DIGITIZED), detail.get(_OFFSET_DIGITIZED, offset)),
-        (base.get(_DATE_TIME), detail.get(_SUBSEC), offset),
+        (
+            detail.get(Base.DateTimeOriginal),
+            detail.get(Base.SubsecTimeOriginal),
+            detail.get(Base.OffsetTimeOriginal, offset),
+        ),
+        (
+            detail.get(Base.DateTimeDigitized),
+            detail.get(Base.SubsecTimeDigitized),
+            detail.get(Base.OffsetTimeDigitized, offset),
+        ),
+        (base.get(Base.DateTime), detail.get(Base.SubsecTime), offset),
     ):
         found = _WHEN.fullmatch(_text(text))
         if found is None:
@@ -232,14 +269,11 @@ def _time(base: dict, detail: dict) -> tuple[float, bool]:
 
 def _zone(gps: dict, time_s: float) -> float:
     """Offset of a camera's clock from UTC, by the receiver's date and time."""
-    day, clock = re.fullmatch(r"(\d{4})\D(\d\d)\D(\d\d)", _text(gps.get(29))), gps.get(7)
+    day, clock = re.fullmatch(r"(\d{4})\D(\d\d)\D(\d\d)", _text(gps.get(GPS.GPSDateStamp))), gps.get(GPS.GPSTimeStamp)
     if day is None or not isinstance(clock, tuple) or len(clock) != 3:
         return NAN
-    ahead = (
-        time_s
-        - seconds_of("".join(day.groups()), "%Y%m%d")
-        - sum(_number(v) * 60 ** (2 - k) for k, v in enumerate(clock))
-    )
+    second = sum(_number(v) * 60 ** (2 - k) for k, v in enumerate(clock))
+    ahead = time_s - seconds_of("".join(day.groups()), "%Y%m%d") - second
     zone = round(ahead / 900) * 900.0 if abs(ahead) < 15 * 3600 else NAN
     return zone if abs(ahead - zone) <= _CLOCK_OFF_S else NAN
 
@@ -252,7 +286,7 @@ def _text(value: Any) -> str:
 
 def _number(value: Any, otherwise: float = NAN) -> float:
     try:
-        return ratio(value) if isinstance(value, str) else float(value)
+        return float(Fraction(value) if isinstance(value, str) else value)  # of XMP: "88/10", "8.8"
     except (TypeError, ValueError, ZeroDivisionError):
         return otherwise
 
@@ -279,22 +313,87 @@ def exif_of(taken: Taken) -> Image.Exif:
     block = Image.Exif()
     if np.isfinite(taken.time_s):
         when = datetime(1970, 1, 1) + timedelta(microseconds=round(taken.time_s * 1e6))
-        detail = block.get_ifd(EXIF_IFD)
-        detail[TIME_ORIGINAL] = f"{when:%Y:%m:%d %H:%M:%S}"
-        detail[SUBSEC_ORIGINAL] = f"{when.microsecond:06d}"
+        detail = block.get_ifd(IFD.Exif)
+        detail[Base.DateTimeOriginal] = f"{when:%Y:%m:%d %H:%M:%S}"
+        detail[Base.SubsecTimeOriginal] = f"{when.microsecond:06d}"
         if taken.utc:
-            detail[OFFSET_ORIGINAL] = "+00:00"
+            detail[Base.OffsetTimeOriginal] = "+00:00"
     if np.isfinite(taken.lat_deg) and np.isfinite(taken.lon_deg):
-        _write_place(block.get_ifd(GPS_IFD), taken)
+        gps = block.get_ifd(IFD.GPSInfo)
+        for key, value, words in ((GPS.GPSLatitude, taken.lat_deg, "NS"), (GPS.GPSLongitude, taken.lon_deg, "EW")):
+            gps[key - 1] = words[value < 0]
+            minutes, seconds = divmod(round(abs(value) * 3600, 6), 60)
+            gps[key] = float(minutes // 60), float(minutes % 60), round(seconds, 6)
+        if np.isfinite(taken.height_m):
+            gps[GPS.GPSAltitudeRef] = b"\x01" if taken.height_m < 0 else b"\x00"
+            gps[GPS.GPSAltitude] = abs(taken.height_m)
+        if np.isfinite(taken.sigma_m):
+            gps[GPS.GPSHPositioningError] = taken.sigma_m
     return block
 
 
-def _write_place(gps: dict[int, Any], taken: Taken) -> None:
-    for key, value, words in ((1, taken.lat_deg, "NS"), (3, taken.lon_deg, "EW")):
-        gps[key] = words[value < 0]
-        minutes, seconds = divmod(round(abs(value) * 3600, 6), 60)
-        gps[key + 1] = float(minutes // 60), float(minutes % 60), round(seconds, 6)
-    if np.isfinite(taken.height_m):
-        gps[5], gps[6] = b"\x01" if taken.height_m < 0 else b"\x00", abs(taken.height_m)
-    if np.isfinite(taken.sigma_m):
-        gps[31] = taken.sigma_m
+# --- XMP --------------------------------------------------------------------------------------------------------------
+
+
+def read_rig_tags(text: str) -> RigTags:
+    """Rig tags of the XMP of an image; damaged ones count as not written."""
+    if "RigCameraIndex" not in text and "BandName" not in text:
+        return RigTags()
+    angles = [number(v) for v in re.split(r"[,\s]+", xmp_value(text, "RigRelatives")) if v]
+    good = len(angles) == 3 and bool(np.all(np.abs(angles) <= 360.0))
+    numbers = (xmp_value(text, tag) for tag in ("RigCameraIndex", "RigRelativesReferenceRigCameraIndex"))
+    index, reference = (int(n) if re.fullmatch(r"\d{1,3}", n) else -1 for n in numbers)
+    band, relatives = xmp_value(text, "BandName")[:40], tuple(angles) if good else ()
+    return RigTags(index=index, band=band, relatives_deg=relatives, reference=reference)
+
+
+def read_place(text: str) -> tuple[Place, bool]:
+    """The position in the XMP of an image, and whether a receiver with an RTK fix wrote it."""
+    rtk = number(xmp_value(text, "RtkFlag", _DJI)) > 0
+    lat, *lons = (number(xmp_value(text, f"Gps{t}", _DJI)) for t in ("Latitude", "Longitude", "Longtitude"))
+    lon = lons[1] if np.isnan(lons[0]) else lons[0]
+    height = number(xmp_value(text, "AbsoluteAltitude", _DJI))
+    if np.isnan(lat):
+        lat, lon = (_degrees(xmp_value(text, t, "exif")) for t in ("GPSLatitude", "GPSLongitude"))
+    if np.isnan(height):
+        below = xmp_value(text, "GPSAltitudeRef", "exif") == "1"
+        height = _number(xmp_value(text, "GPSAltitude", "exif")) * (-1 if below else 1)
+    flat, up = (number(xmp_value(text, f"GPS{axes}Accuracy")) for axes in ("XY", "Z"))
+    if rtk:
+        flat = max(number(xmp_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
+        up = number(xmp_value(text, "RtkStdHgt", _DJI))
+    return Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up), rtk
+
+
+def _degrees(text: str) -> float:
+    """Degrees of "35,41.37N" or "35,41,22N"."""
+    found = re.fullmatch(r"(\d+),(\d+(?:\.\d+)?)(?:,(\d+(?:\.\d+)?))?([NSEW])", text)
+    if found is None:
+        return NAN
+    size = int(found[1]) + float(found[2]) / 60 + float(found[3] or 0) / 3600
+    return -size if found[4] in "SW" else size
+
+
+def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
+    """(3, 3) reference_from_camera of RigRelatives: Rx(omega) Ry(phi) Rz(kappa), both frames x right, y down, z forward
+    (as MicaSense's own library lays its bands on each other)."""
+    return Rotation.from_euler("XYZ", relatives_deg, degrees=True).as_matrix()
+
+
+def xmp_text(image: Any) -> str:
+    """The XMP of an opened PIL image, "" without any."""
+    found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    try:
+        found = found or getattr(image, "tag_v2", {}).get(Base.XMLPacket, b"")
+    except Exception:  # a damaged directory
+        return ""
+    return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
+
+
+def xmp_value(text: str, tag: str, space: str = "Camera") -> str:
+    """Text of a tag written as an attribute, as an element or as a list, its items separated by blanks."""
+    attribute = re.search(rf'\b{space}:{tag}\s*=\s*["\']([^"\']*)["\']', text)
+    if attribute:
+        return attribute[1].strip()
+    element = re.search(rf"<{space}:{tag}(?:\s[^>]*)?>(.*?)</{space}:{tag}>", text, re.DOTALL)
+    return " ".join(re.sub(r"<[^>]*>", " ", element[1]).split()) if element else ""

@@ -16,12 +16,23 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.cells import SIGMAS, is_file, known_words, length_m, says_value
+from tiegraph.geometry.geodesy import within_area
+from tiegraph.scene.cells import SIGMAS, is_file, known_words, length_m, number, says_value
 from tiegraph.scene.cells import points as points_by_content
-from tiegraph.scene.crsline import coordinates_of, crs_above, exchanged, parse_crs_line, say_axes, units_of
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.targets import BAR_FORM, FORM, FileBar, Target, count_of, names_bars, read_bars, target_of
-from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, header_words, split_cells, text_of
+from tiegraph.scene.textfile import (
+    coordinates_of,
+    crs_above,
+    delimiter_of_rows,
+    filled_lines,
+    header_words,
+    parse_crs_line,
+    say_axes,
+    split_cells,
+    text_of,
+    units_of,
+)
 from tiegraph.scene.tuning import ControlTuning
 
 MAX_SIGMA_M = 100.0  # a larger sigma of a surveyed point means another unit, or a typing error
@@ -97,17 +108,26 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
     """
     found = _read(Path(path), "--gcp", tuning)
     if marks is not None:
-        found = _joined(found, _read(Path(marks), "--marks", tuning))
-    if not (found.points or found.bars) or not (found.marks or found.targets):
-        there, lacking = ("marks", "points") if not (found.points or found.bars) else ("points", "marks")
+        points, other = found, _read(Path(marks), "--marks", tuning)
+        if not (points.points or points.bars):
+            points, other = other, points
+        if other.points or points.marks:
+            both = "points" if other.points else "marks"
+            raise InputError(
+                f"--gcp {path} and --marks {marks}: both contain {both}; omit --marks, or keep the points in the one "
+                "and the marks in the other"
+            )
+        found = replace(points, marks=other.marks, marks_path=other.path, notes=(*points.notes, *other.notes))
+    places = found.points or found.bars
+    if not places or not (found.marks or found.targets):
+        there, lacking = ("points", "marks") if places else ("marks", "points")
         raise InputError(f"--gcp {path}: {there}, but no {lacking} with {_NEED[lacking]}; {FORMS}")
     _check_targets(found)
     names = {p.name for p in found.points} | {n for b in found.bars for n in b.ends}
-    lost = next((m for m in found.marks if m.name not in names), None)
-    if lost is not None:
-        where = f"{found.of_marks}, line {lost.line}"
+    for lost in (m for m in found.marks if m.name not in names):
         there = "the file" if found.marks_path is None else found.path.name
-        raise InputError(f"{where}: a mark of point {lost.name!r}, which has no coordinates in {there}")
+        said = f"a mark of point {lost.name!r}, which has no coordinates in {there}"
+        raise InputError(f"{found.of_marks}, line {lost.line}: {said}")
     said = (*found.notes, *_doubtful(found))
     return replace(found, marks=_once_each(found), notes=said, largest_copy=tuning.largest_copy)
 
@@ -133,8 +153,7 @@ def _check_targets(found: GcpFile) -> None:
             raise InputError(f"{where}: {name!r} and {names[target]!r} are one target: name it in one way only")
     marked = {m.name for m in found.marks}
     for bar in found.bars:
-        lost = next((n for n in bar.ends if n not in marked and n not in found.targets), None)
-        if lost is not None:
+        for lost in (n for n in bar.ends if n not in marked and n not in found.targets):
             raise InputError(
                 f"{found.path}, line {bar.line}: the end {lost!r} of this bar is neither marked nor a coded target; "
                 f"{FORM} (--marks gives marks of others)"
@@ -144,20 +163,7 @@ def _check_targets(found: GcpFile) -> None:
 _NEED = {"points": "coordinates", "marks": "a pixel in an image"}
 
 
-def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
-    """Points of one file with the marks of the other, in either order."""
-    points, marks = (one, other) if one.points or one.bars else (other, one)
-    if marks.points or points.marks:
-        both = "points" if marks.points else "marks"
-        raise InputError(
-            f"--gcp {one.path} and --marks {other.path}: both contain {both}; omit --marks, or keep the points in "
-            "the one and the marks in the other"
-        )
-    return replace(points, marks=marks.marks, marks_path=marks.path, notes=(*points.notes, *marks.notes))
-
-
 def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
-    """The points and marks of a file of either form, unchanged."""
     text, doubts = text_of(path, "control point file")
     lines = [(n, line) for n, line in filled_lines(text) if not _TITLE.fullmatch(line)]
     if not lines:
@@ -168,11 +174,18 @@ def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
 
 
 def _refuse_exchanged(found: GcpFile) -> None:
-    """Raise InputError for the first point whose coordinates must be exchanged."""
+    """Raise InputError for the first point whose coordinates must be exchanged: its latitude is above 90, or it lies
+    outside its grid's area of use, and exchanged inside."""
+    import pyproj
+
+    if found.crs is None:
+        return
     places = np.array([p.xyz[:2] for p in found.points], float).reshape(-1, 2)
-    bad = exchanged(found.crs, places) if found.crs is not None else None
-    if bad is not None:
-        point, named = found.points[bad], "lon,lat" if found.geographic else "northing,easting"
+    bad = within_area(found.crs, places[:, ::-1]) & ~within_area(found.crs, places)
+    if pyproj.CRS.from_user_input(found.crs).is_geographic:
+        bad = np.abs(places[:, 0]) > 90
+    for k in np.flatnonzero(bad)[:1]:
+        point, named = found.points[k], "lon,lat" if found.geographic else "northing,easting"
         raise InputError(
             f"{found.path}, line {point.line}: the first two coordinates of point {point.name!r} are exchanged "
             f"({named}): give a CSV whose header names the columns, such as name,{named},height"
@@ -223,31 +236,29 @@ def _is_header(line: str) -> bool:
     return known_words(names) > 2 or names_bars(names)
 
 
-# --- OpenDroneMap ---------------------------------------------------------------------------------------------------
-
-
 def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
-    crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}", _FIRST_LINE)
+    more = f"; the first line of a gcp_list.txt is one; that of a CSV is a header: {FORMS}"
+    crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}", more)
     points: dict[str, FilePoint] = {}
     by_place: dict[tuple[float, ...], str] = {}
     marks = []
-    for number, line in lines[1:]:
+    for n, line in lines[1:]:
         if line[0] in "#%":
             continue
         words = split_cells(line, "\t" if line.count("\t") >= 5 else None)
         if len(words) < 6:
-            raise InputError(f"{path}, line {number}: expected x y z px py image [name], got {line!r}")
+            raise InputError(f"{path}, line {n}: expected x y z px py image [name], got {line!r}")
         if not is_file(words[5]) and any(map(is_file, words[6:])):
             raise InputError(
-                f"{path}, line {number}: the image {words[5]!r} has no suffix, but a later word has: separate the "
+                f"{path}, line {n}: the image {words[5]!r} has no suffix, but a later word has: separate the "
                 "columns by tabs if names have blanks, or put such names between quotes"
             )
-        x, y, z, px, py = (_number(w, path, number) for w in words[:5])
+        x, y, z, px, py = (_number(w, path, n) for w in words[:5])
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
         name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
         check = len(words) > 7 and words[7].lower() in _CHECK
-        _add(points, FilePoint(name=name, xyz=place, sigma_m=tuning.sigma_m, check=check, line=number), path)
-        marks.append(FileMark(name=name, image=words[5], xy=(px, py), line=number))
+        _add(points, FilePoint(name=name, xyz=place, sigma_m=tuning.sigma_m, check=check, line=n), path)
+        marks.append(FileMark(name=name, image=words[5], xy=(px, py), line=n))
     return GcpFile(
         path=path,
         crs=crs.srs,
@@ -258,20 +269,11 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
     )
 
 
-_FIRST_LINE = f"; the first line of a gcp_list.txt is one; that of a CSV is a header: {FORMS}"
-
-
 def _number(text: str, path: Path, line: int) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
+    value = number(text)
     if not np.isfinite(value):
         raise InputError(f"{path}, line {line}: {text!r:.99} is no number")
     return value
-
-
-# --- CSV ------------------------------------------------------------------------------------------------------------
 
 
 def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
@@ -353,7 +355,7 @@ def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
 
 
 def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[float, float, float], bool]:
-    def number(what: str, otherwise: float) -> float:
+    def sigma(what: str, otherwise: float) -> float:
         column = table.find(what)
         cell = table.cell(row, column)
         if not cell:
@@ -367,9 +369,9 @@ def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[flo
             )
         return value
 
-    both = number("sigma", tuning.sigma_m[0])
-    flat = number("horizontal sigma", max(number("sigma to the east", both), number("sigma to the north", both)))
-    up = number("vertical sigma", number("sigma", tuning.sigma_m[2]))
+    both = sigma("sigma", tuning.sigma_m[0])
+    flat = sigma("horizontal sigma", max(sigma("sigma to the east", both), sigma("sigma to the north", both)))
+    up = sigma("vertical sigma", sigma("sigma", tuning.sigma_m[2]))
     role = table.cell(row, table.find("role")).lower().replace(" ", "_")
     if role not in (*_CHECK, *_CONTROL):
         raise InputError(f"{table.where(row)}: role {role!r} is neither gcp nor check")

@@ -1,9 +1,8 @@
-"""Graphs of images and frames: forests, components, cuts, bridges, articulation points, links between groups, and
-the strongest pairs of each image."""
+"""Graphs of images and frames: forests, components, cuts, bridges, articulation points, links between groups, weakly
+tied groups, and the strongest pairs of each image."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -11,9 +10,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import ranks
 from tiegraph.text import some
-
-BLOCK = 1 << 22  # links processed together
 
 
 def parts(i: np.ndarray, j: np.ndarray, nodes: int) -> np.ndarray:
@@ -95,7 +93,10 @@ def cuts(a: np.ndarray, b: np.ndarray, nodes: int, double: np.ndarray | None = N
     """Bridges and articulation points of a graph of links a, b (K,) without parallels; a link that is ``double`` (K,)
     is no bridge. Depth first search (Tarjan 1972) without recursion."""
     double = np.zeros(len(a), bool) if double is None else double
-    start, other, link = _adjacency(a, b, nodes)
+    ends = np.concatenate([a, b])
+    around = np.argsort(ends, kind="stable")
+    start = np.r_[0, np.cumsum(np.bincount(ends.astype(np.int64), minlength=nodes))].tolist()
+    other, link = np.concatenate([b, a])[around].tolist(), np.tile(np.arange(len(a)), 2)[around].tolist()
     found, low, size, parent = [-1] * nodes, [0] * nodes, [1] * nodes, [-1] * nodes
     into = [-1] * nodes  # link to the parent
     place = start.copy()
@@ -125,13 +126,6 @@ def cuts(a: np.ndarray, b: np.ndarray, nodes: int, double: np.ndarray | None = N
             size[parent[v]] += size[v]
             low[parent[v]] = min(low[parent[v]], low[v])
     return _judged(np.array([parent, into, found, low, size]), parts(a, b, nodes), double)
-
-
-def _adjacency(a: np.ndarray, b: np.ndarray, nodes: int) -> tuple[list[int], list[int], list[int]]:
-    ends = np.concatenate([a, b])
-    order = np.argsort(ends, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(ends.astype(np.int64), minlength=nodes))])
-    return start.tolist(), np.concatenate([b, a])[order].tolist(), np.tile(np.arange(len(a)), 2)[order].tolist()
 
 
 def _judged(tree: np.ndarray, part: np.ndarray, double: np.ndarray) -> Cuts:
@@ -166,20 +160,14 @@ class Group:
 
 def groups(scene: Scene) -> Iterator[Group]:
     """Cameras, passes and sections of a scene, each kind only where there are at least two of it."""
-    names = [s.name for s in scene.all_sensors]
-    for kind, label in (
-        ("camera", scene.sensor_key),
-        ("pass", scene.sequence[scene.frame]),
-        ("section", scene.section[scene.frame]),
+    for kind, label, names in (
+        ("camera", scene.sensor_key, [s.name for s in scene.all_sensors]),
+        ("pass", scene.sequence[scene.frame], scene.sequences),
+        ("section", scene.section[scene.frame], ()),
     ):
         numbers = np.unique(label)
-        if len(numbers) < 2:
-            continue
-        for k in numbers[numbers >= 0]:
-            name = (
-                names[k] if kind == "camera" else scene.sequences[k] if kind == "pass" and scene.sequences else f"{k}"
-            )
-            yield Group(kind, name, label == k)
+        for k in numbers[numbers >= 0] if len(numbers) > 1 else []:
+            yield Group(kind, names[k] if names else f"{k}", label == k)
 
 
 def two_links(i: np.ndarray, j: np.ndarray, member: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -222,8 +210,7 @@ def components(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) component of every image in the graph of kept pairs, the largest is 0."""
     kept = pairs.kept()
     labels = parts(kept.i, kept.j, images)
-    size = np.bincount(labels, minlength=1)
-    return np.argsort(np.argsort(-size, kind="stable"))[labels]
+    return np.argsort(np.argsort(-np.bincount(labels, minlength=1), kind="stable"))[labels]
 
 
 def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
@@ -242,42 +229,6 @@ def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
         held = "; the frames of the rig connect them" if whole else ""
         notes.append(f"the pairs fall into {len(several)} components: {some(named, 10)}{held}")
     return tuple(notes)
-
-
-def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """(nodes,) first node of each node's component, after links between nodes (K,) and (K,), a block at a time, are
-    added to those of ``first`` (nodes,), which is modified. The result does not depend on the order of links."""
-    for a, b in links:
-        while len(a):
-            a, b = _roots(first, a), _roots(first, b)
-            apart = a != b
-            a, b = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
-            first[b] = a  # of several partners the last wins; the others come back in the next round
-    while not np.array_equal(further := first[first], first):
-        first = further
-    return first
-
-
-def _roots(first: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(K,) the roots of nodes (K,), which from now on are one step away."""
-    up = first[nodes]
-    while not np.array_equal(higher := first[up], up):
-        up = higher
-    first[nodes] = up
-    return up
-
-
-def blocks(start: np.ndarray) -> Iterator[slice]:
-    """Slices of K rows, about a block each; the links of row k are those from ``start[k]`` to ``start[k + 1]``."""
-    last = len(start) - 1
-    ends = np.searchsorted(start, np.arange(BLOCK, start[-1], BLOCK))
-    for a, b in pairwise(np.unique(np.concatenate([[0], ends, [last]])).tolist()):
-        yield slice(a, b)
-
-
-def spread(first: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """(sum,) the numbers from ``first`` (K,) on, ``count`` (K,) of each."""
-    return np.repeat(first - (np.cumsum(count) - count), count) + np.arange(count.sum())
 
 
 def strongest_pairs(pairs: Pairs, scene: Scene, per_image: int) -> Pairs:
@@ -318,16 +269,102 @@ def strongest_places(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: 
     strength = np.tile(strength, 2)
     sensors = len(scene.all_sensors)
     group = (scene.sequence[scene.frame].astype(np.int64) + 1) * sensors + scene.sensor_key
-    order = np.lexsort((partner, -strength, group[partner], image))
-    turn = _rank(np.stack([image[order], group[partner[order]]]))
-    again = np.lexsort((-strength[order], turn, image[order]))
-    rank = _rank(image[order][again][None])
-    return np.unique(place[order[again[rank < count]]])
+    turn = ranks(image.astype(np.int64) * (group.max(initial=0) + 1) + group[partner], -strength, partner)
+    return np.unique(place[ranks(image, turn, -strength, group[partner]) < count])
 
 
-def _rank(keys: np.ndarray) -> np.ndarray:
-    """(K,) place of each column within its run of equal columns (R, K)."""
-    n = keys.shape[1]
-    first = np.ones(n, bool)
-    first[1:] = np.any(np.diff(keys, axis=1) != 0, axis=0)
-    return np.arange(n) - np.maximum.accumulate(np.where(first, np.arange(n), 0))
+# --- weakly tied groups -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WeaklyTied:
+    """Connected frames, and how many points they share with all the others."""
+
+    frames: tuple[int, ...]
+    points: int
+
+
+def strongest_first(a: np.ndarray, b: np.ndarray, weight: np.ndarray, nodes: int) -> Iterator[np.ndarray]:
+    """The groups that links a, b (K,) between nodes join, the strongest first, each (M,) in rising order and of two
+    nodes at least; links of one weight join in the order of their nodes."""
+    members = {k: np.array([k]) for k in range(nodes)}
+    home = np.arange(nodes)
+    for k in np.lexsort((np.maximum(a, b), np.minimum(a, b), -weight)):
+        one, two = int(home[a[k]]), int(home[b[k]])
+        if one == two:
+            continue
+        members[one] = np.sort(np.concatenate([members[one], members.pop(two)]))
+        home[members[one]] = one
+        yield members[one]
+
+
+def weakly_tied(
+    point: np.ndarray, frame: np.ndarray, present: np.ndarray, least: int, alone: int | None = None
+) -> tuple[WeaklyTied, ...]:
+    """Groups of frames that share fewer than ``least`` points with the others, and single frames with fewer than
+    ``alone`` (None: likewise), the fewest first; no frame is in two.
+
+    point, frame (K,): which frame sees which point. ``present`` (F,) bool: frames that have a pose. Of two sides the
+    smaller is the group. Frames that share ``least`` points are always on one side, so only weak links are tested.
+    """
+    home = _sure(point, frame, len(present), least)
+    seen = _incidence(point, home[frame], len(present))
+    shared = (seen @ seen.T).tocoo()
+    upper = shared.row < shared.col
+    ends, count = (shared.row[upper], shared.col[upper]), shared.data[upper]
+    there = np.unique(home[present])
+    size = np.bincount(home[present], minlength=len(present))
+    asked = [*there[:, None], *strongest_first(ends[0], ends[1], count, len(present))] if len(there) > 1 else []
+    found = []
+    for group in asked:
+        larger = 2 * int(size[group].sum()) + (there[0] in group) > int(present.sum())
+        inside = np.setdiff1d(there, group) if larger else np.intersect1d(there, group)
+        if 0 < len(inside) < len(there):
+            # Points that nodes on both sides see
+            mine = np.asarray(seen[inside].sum(axis=0)).ravel()
+            across = int(np.sum((mine > 0) & (mine < np.asarray(seen.sum(axis=0)).ravel())))
+            frames = np.flatnonzero(present & np.isin(home, inside)).tolist()
+            enough = least if alone is None or len(frames) > 1 else alone
+            found += [WeaklyTied(tuple(frames), across)] if across < enough else []
+    return _disjoint(found)
+
+
+def named(group: WeaklyTied, names: tuple[str, ...]) -> str:
+    """A group in words: the first and last of its frames by ``names`` (F,), and their number."""
+    first, last = names[group.frames[0]], names[group.frames[-1]]
+    return first if len(group.frames) == 1 else f"{first} .. {last} ({len(group.frames)} frames)"
+
+
+def _sure(point: np.ndarray, frame: np.ndarray, frames: int, least: int) -> np.ndarray:
+    """(F,) one number for all frames connected by links of at least so many points, directly or as groups."""
+    home = np.arange(frames)
+    while True:
+        seen = _incidence(point, home[frame], frames)
+        shared = (seen @ seen.T).tocoo()
+        strong = (shared.data >= least) & (shared.row < shared.col)
+        if not strong.any():
+            return home
+        part = parts(shared.row[strong], shared.col[strong], frames)
+        first = np.full(frames, frames)
+        np.minimum.at(first, part, np.arange(frames))
+        home = first[part][home]
+
+
+def _incidence(point: np.ndarray, node: np.ndarray, nodes: int) -> csr_array:
+    """(nodes, P) 1 where a node sees a point that another one sees too."""
+    points = int(point.max(initial=-1)) + 1
+    table = coo_array((np.ones(len(point), np.int64), (node, point)), shape=(nodes, points)).tocsr()
+    table.data[:] = 1
+    several = np.flatnonzero(np.asarray(table.sum(axis=0)).ravel() > 1)
+    return table[:, several]
+
+
+def _disjoint(found: list[WeaklyTied]) -> tuple[WeaklyTied, ...]:
+    """Of groups that have frames in common the one with the fewest points, of equals the larger."""
+    taken: set[int] = set()
+    out = []
+    for group in sorted(set(found), key=lambda g: (g.points, -len(g.frames), g.frames)):
+        if not taken & set(group.frames):
+            taken |= set(group.frames)
+            out.append(group)
+    return tuple(out)

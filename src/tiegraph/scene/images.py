@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from tiegraph.errors import InputError
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.decoding import (
     BEGINS,
     EIGHT_BIT,
@@ -24,13 +25,10 @@ from tiegraph.scene.decoding import (
     levels_of,
     opened,
 )
-from tiegraph.scene.exif import Exif, read_exif
-from tiegraph.scene.fisheye import image_circles
-from tiegraph.scene.panorama import Sphere, has_crop, is_equirectangular, sphere_of
-from tiegraph.scene.regular import regular
+from tiegraph.scene.exif import Exif, read_exif, xmp_text
 from tiegraph.scene.rig import Circle
 from tiegraph.scene.tuning import ImageTuning
-from tiegraph.scene.xmp import xmp_text
+from tiegraph.scene.wideviews import Sphere, has_crop, image_circles, is_equirectangular, sphere_of
 
 SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".mpo", ".insp",
             ".jp2", ".j2k", ".avif", ".heic", ".heif", ".hif", *RAW, ".jxl", ".gif")  # fmt: skip

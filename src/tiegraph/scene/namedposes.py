@@ -17,8 +17,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.colmapmodel import is_model, matrix, read_model
-from tiegraph.scene.regular import regular
 from tiegraph.text import composed
 
 ACCEPTED = (
@@ -144,7 +144,11 @@ def poses_of_transforms(data: Any, path: Path) -> dict[str, np.ndarray]:
         name = frame.get("file_path") if isinstance(frame, dict) else None
         if not isinstance(name, str) or not name:
             raise InputError(f"{where}: no file_path: write the image that each pose is of")
-        pose = _pose(frame.get("transform_matrix"), f"{where} ({name:.80})")
+        given = transforms.finite_array(frame.get("transform_matrix"), (4, 4), (3, 4))
+        if given is None:
+            raise InputError(f"{where} ({name:.80}): transform_matrix is no 4 x 4 matrix of numbers: remove that frame")
+        pose = checked_pose(given, f"{where} ({name:.80}): transform_matrix")
+        pose[:3, 1:3] *= -1  # from OpenGL's camera
         if name in out and not np.allclose(out[name], pose, rtol=0, atol=1e-9):
             raise InputError(f"{where}: {name:.80} has another pose above: keep the right one")
         out[name] = pose
@@ -161,15 +165,6 @@ def read_json(path: Path, what: str = "a transforms.json of nerfstudio or instan
         raise InputError(f"{path}, line {error.lineno}: no JSON ({error.msg}): is the file cut off?") from None
     except (UnicodeDecodeError, RecursionError):
         raise InputError(f"{path}: no JSON text; give {what}") from None
-
-
-def _pose(given: Any, where: str) -> np.ndarray:
-    pose = transforms.finite_array(given, (4, 4), (3, 4))
-    if pose is None:
-        raise InputError(f"{where}: transform_matrix is no 4 x 4 matrix of numbers: remove that frame")
-    out = checked_pose(pose, f"{where}: transform_matrix")
-    out[:3, 1:3] *= -1  # from OpenGL's camera
-    return out
 
 
 def checked_pose(pose: np.ndarray, what: str) -> np.ndarray:

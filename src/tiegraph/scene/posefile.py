@@ -78,7 +78,11 @@ def read_poses(path: Path) -> Trajectory:
     """
     rows = _rows(Path(path))
     if rows.header is None and rows.numbers.shape[1] == _KITTI:
-        poses = _kitti(rows)
+        matrices = rows.numbers.reshape(-1, 3, 4)
+        bad = np.flatnonzero(~are_rotations(matrices[:, :, :3], _PLAY))
+        if len(bad):
+            raise rows.fail(bad[0], "columns 1-3, 5-7, 9-11 are not a rotation")
+        poses = rigid(Rotation.from_matrix(matrices[:, :, :3]).as_matrix(), matrices[:, :, 3])
         _check_places(rows, poses[:, :3, 3])
         _check_moves(rows, poses)
         return Trajectory(np.full(len(poses), np.nan), poses, rows.notes)
@@ -115,9 +119,6 @@ def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str
     _check_moves(rows, poses)
     keep, notes = in_time_order(time_s, rows.lines, rows.path)
     return Trajectory(time_s[keep], poses[keep], (*said, *notes))
-
-
-# --- text -----------------------------------------------------------------------------------------------------------
 
 
 def _rows(path: Path) -> _Rows:
@@ -176,9 +177,6 @@ def _names(columns: tuple[str, ...]) -> tuple[int, ...] | None:
     return (*(place[c] for c in "xyz"), *(turn[c] for c in "xyzw"))
 
 
-# --- which column is which ------------------------------------------------------------------------------------------
-
-
 def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Columns of _FIELDS, and notes."""
     name, as_named = rows.path.name, tuple(range(_TUM))
@@ -203,18 +201,6 @@ def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
     if euroc:
         return _W_FIRST, (f"{name}: no header; read as EuRoC's table, quaternions with w first",)
     return as_named, ()
-
-
-# --- limits of a trajectory -----------------------------------------------------------------------------------------
-
-
-def _kitti(rows: _Rows) -> np.ndarray:
-    matrices = rows.numbers.reshape(-1, 3, 4)
-    turns = matrices[:, :, :3]
-    bad = np.flatnonzero(~are_rotations(turns, _PLAY))
-    if len(bad):
-        raise rows.fail(bad[0], "columns 1-3, 5-7, 9-11 are not a rotation")
-    return rigid(Rotation.from_matrix(turns).as_matrix(), matrices[:, :, 3])
 
 
 def _check_places(rows: _Rows, xyz: np.ndarray) -> None:
@@ -262,9 +248,6 @@ def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
     ahead = step[moved] / np.linalg.norm(step[moved], axis=1, keepdims=True)
     own = Rotation.from_quat(xyzw[:-1][moved]).apply(ahead, inverse=True)
     return float(1 - np.linalg.norm(own.mean(axis=0)))
-
-
-# --- writing --------------------------------------------------------------------------------------------------------
 
 
 FREE_UNIT = "# unit: free (a single camera gives no scale)"

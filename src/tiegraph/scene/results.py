@@ -1,24 +1,34 @@
-"""Results of the later stages: depth maps, clouds, metrics, and their files.
+"""Results of the later stages: depth maps, clouds, metrics, the accuracy of a run, and their files.
 
 Depth maps are compressed .npz: depth (f4), sigma as a share of the depth (f2), views (u1), normal (i1).
+
+The accuracy has three layers, and is the one source of all accuracies in terminal, report, cloud and tables. *In the
+world*: absolute, with the controlling observations. *In shape*: of the whole and of its parts relative to each other,
+wherever it lies. *Of a point*: of a point of the cloud against its neighbours. Each is predicted (one standard
+deviation) and, if a reference exists, measured (root mean square unless stated otherwise); the length of the
+difference, not one axis. Only ``evaluate`` computes it; ``metrics.json`` contains it, under ``accuracy``.
 """
 
 from __future__ import annotations
 
+import base64
+import io
+import math
+import warnings
 import zipfile
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.notebook import cloud_from_above, depth_colours, picture
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
@@ -191,3 +201,160 @@ def _normal(stored: np.ndarray) -> np.ndarray:
     normal = stored.astype(np.float32)
     length = np.sqrt(np.square(normal) @ np.ones(3, np.float32))
     return normal / np.where(length > 0, length, np.float32(np.nan))[..., None]
+
+
+# --- accuracy ---------------------------------------------------------------------------------------------------------
+
+
+NAN = float("nan")
+LAYERS = {"world": "in the world", "shape": "in shape", "point": "of a point"}
+"""Key of a layer -> its name, in the order of presentation."""
+PREDICTED, MEASURED, RATIO = "predicted", "measured", "ratio"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One accuracy, in the unit of its ``Accuracy``; NaN = not known.
+
+    ``predicted``: a standard deviation of what ``measured`` is, so that their ratio is about 1. ``independent``: the
+    reference was not used in the run.
+    """
+
+    key: str  # begins with its layer
+    of: str
+    predicted: float = NAN
+    measured: float = NAN
+    by: str = ""  # the reference it is measured by
+    independent: bool = False
+    proves_not: str = ""
+
+    @property
+    def layer(self) -> str:
+        """Key of its layer."""
+        return self.key.partition(".")[0]
+
+    @property
+    def ratio(self) -> float:
+        """Measured / predicted; NaN without both."""
+        return self.measured / self.predicted if self.predicted > 0 else NAN
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Whether a tolerance is held: ``said`` is "yes", "no" or "cannot be told"; why, and what would make it yes."""
+
+    tolerance_m: float
+    said: str
+    why: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """All of it. ``unit`` is m, or "units" if the scale is unknown; ``held_by``: its control in the world;
+    ``placement``: sigmas of the model as a whole (position_m, height_m, yaw_deg, tilt_deg, scale), {} = none."""
+
+    unit: str
+    held_by: str
+    figures: tuple[Figure, ...]
+    placement: Mapping[str, float] = field(default_factory=dict)
+    answer: Answer | None = None
+
+    def of(self, layer: str) -> list[Figure]:
+        """The figures of a layer."""
+        return [f for f in self.figures if f.layer == layer]
+
+    def head(self, layer: str) -> Figure:
+        """The representative figure of a layer: of a point in the world, of the shape as a whole, of a point."""
+        return self.figure("shape.whole" if layer == "shape" else layer)
+
+    def figure(self, key: str) -> Figure:
+        """A figure by its key; one without values if there is none."""
+        return next((f for f in self.figures if f.key == key), Figure(key=key, of=""))
+
+    def values(self) -> dict[str, float]:
+        """All values for presentation, by full key: "world.check_points.measured", "placement.tilt_deg"."""
+        out = {f"{f.key}.{what}": getattr(f, what) for f in self.figures for what in (PREDICTED, MEASURED, RATIO)}
+        out |= {f"placement.{name}": value for name, value in self.placement.items()}
+        if self.answer is not None:
+            out["tolerance"] = self.answer.tolerance_m
+        return {key: value for key, value in out.items() if math.isfinite(value)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready; NaN as null. The ratio is beside the values."""
+        figures = [finite({**asdict(f), RATIO: f.ratio}) for f in self.figures]
+        out = {"unit": self.unit, "held_by": self.held_by, "figures": figures, "placement": dict(self.placement)}
+        return {**out, "tolerance": None if self.answer is None else asdict(self.answer)}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Accuracy:
+        """Inverse of ``to_dict``."""
+        rows: list[dict[str, Any]]
+        rows = [{k: NAN if v is None else v for k, v in row.items() if k != RATIO} for row in data["figures"]]
+        answer = data.get("tolerance")
+        return Accuracy(
+            unit=data["unit"],
+            held_by=data["held_by"],
+            figures=tuple(Figure(**row) for row in rows),
+            placement=data.get("placement") or {},
+            answer=None if answer is None else Answer(**answer),
+        )
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def png(figure: Any) -> bytes:
+    """A figure of matplotlib as PNG. Names of folders and cameras are not parsed as formulas (``$\\frac{`` would be an
+    error), and letters that the font lacks are boxes without a warning for each."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+    out = io.BytesIO()
+    with matplotlib.rc_context({"text.parse_math": False}), warnings.catch_warnings():  # ticks are made when drawn
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        FigureCanvasAgg(figure).print_png(out)
+    return out.getvalue()
+
+
+_SIDE_PX = 400
+
+
+def table(said: str, rows: Iterable[Sequence[Any]]) -> str:
+    """A heading and rows of cells."""
+    lines = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<p>{escape(said)}</p><table>{lines}</table>"
+
+
+def picture(said: str, bgr: np.ndarray) -> str:
+    """A heading and an image (H, W, 3) u1."""
+    data = base64.b64encode(cv2.imencode(".png", bgr)[1].tobytes()).decode()
+    return f'<p>{escape(said)}</p><img src="data:image/png;base64,{data}">'
+
+
+def depth_colours(depth: np.ndarray) -> np.ndarray:
+    """(h, w, 3) u1 BGR of a depth map (H, W): near is bright, by inverse depth; grey = none."""
+    scale = min(1.0, _SIDE_PX / max(depth.shape))
+    size = (max(1, round(depth.shape[1] * scale)), max(1, round(depth.shape[0] * scale)))
+    inverse = cv2.resize((1 / depth).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+    known = np.isfinite(inverse)
+    low, high = np.percentile(inverse[known], (2, 98)) if known.any() else (0.0, 1.0)
+    share = np.clip((np.where(known, inverse, low) - low) / max(high - low, 1e-12), 0, 1)
+    colours = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    return np.where(known[..., None], colours, np.uint8(160))
+
+
+def cloud_from_above(xyz: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+    """(h, w, 3) u1 BGR of points (M, 3) and their colours (M, 3) RGB seen against the third axis; white = no point."""
+    low, high = np.percentile(xyz[:, :2], (0.5, 99.5), axis=0)
+    pixel = max(float(np.max(high - low)) / _SIDE_PX, 1e-12)
+    width, height = (np.ceil((high - low) / pixel).astype(int) + 1).tolist()
+    column, row = np.floor((xyz[:, :2] - low) / pixel).astype(int).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    order = np.flatnonzero(inside)[np.argsort(xyz[inside, 2], kind="stable")]  # the highest last
+    out = np.full((height, width, 3), 255, np.uint8)
+    out[height - 1 - row[order], column[order]] = rgb[order, ::-1]
+    return out

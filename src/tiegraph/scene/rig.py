@@ -1,7 +1,10 @@
-"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one with many shots. And the rays of
-a camera's pixels: the only place that calls COLMAP's cameras for them.
+"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one with many shots.
+
+And their pixels: rays (the only place that calls COLMAP's cameras for them), and marks in the user's image, in the
+prepared one, and in copies, which are smaller or larger, or rotated by EXIF although the survey's images are not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated
@@ -11,7 +14,7 @@ import pycolmap
 from pydantic import PlainSerializer, PlainValidator, TypeAdapter
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.rays import unit_rays
+from tiegraph.geometry.transforms import unit_rays
 
 ROLES = ("side", "up", "wide")
 
@@ -206,3 +209,81 @@ def pixel_rays(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
 def rays_or_axis(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
     """As ``pixel_rays``, with the optical axis where the lens has no inverse."""
     return unit_rays(np.nan_to_num(on_plane(camera, xy)))
+
+
+# --- pixels of marks --------------------------------------------------------------------------------------------------
+
+
+EDGE_PX = 1.0  # tolerance of a mark outside its image: programs count from the pixel's centre or corner
+
+
+@dataclass(frozen=True)
+class Copy:
+    """The images in which marks were made: ``size`` times as large as the user's, and ``turned`` if EXIF rotates the
+    survey's (or not, if the survey's are left as the sensor has them)."""
+
+    size: float = 1.0
+    turned: bool = False
+
+    def pixel(self, xy: tuple[float, float], sensor: Sensor, orientation: int) -> tuple[float, float]:
+        """Pixel in the image of the sensor, upright if that is, of a mark in the copy."""
+        x, y = xy[0] / self.size, xy[1] / self.size
+        camera, source = file_camera(sensor), sensor.source or Source()
+        if not self.turned or camera is None:
+            return x, y
+        size = (camera.height, camera.width) if orientation >= 5 else (camera.width, camera.height)  # of the copy
+        turn = orientation if source.upright else {6: 8, 8: 6}.get(orientation, orientation)  # EXIF's, to upright
+        x = size[0] - x if turn in (2, 3, 7, 8) else x
+        y = size[1] - y if turn in (3, 4, 6, 7) else y
+        return (y, x) if turn >= 5 else (x, y)
+
+    def like(self, other: "Copy") -> bool:
+        """Whether it has nearly the same size and the same orientation."""
+        return self.turned == other.turned and 0.9 < self.size / other.size < 1 / 0.9
+
+    def __str__(self) -> str:
+        return f"{self.size:.4g} times as large" + (
+            ", with another EXIF orientation than the survey's" if self.turned else ""
+        )
+
+
+AS_IS = Copy()
+
+
+def file_camera(sensor: Sensor) -> pycolmap.Camera | None:
+    """The camera of the user's image; None if its size is unknown."""
+    source = sensor.source or Source()
+    return None if source.rendered else source.camera or sensor.camera
+
+
+def within(xy: Sequence[float], camera: pycolmap.Camera | None) -> bool:
+    """Whether a pixel is in the image of a camera, or at its edge; it is if the camera is unknown."""
+    return (
+        camera is None or -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
+    )
+
+
+def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
+    """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted like it."""
+    return _moved(xy, sensor, 1)
+
+
+def source_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
+    """Pixel in the user's upright image of a pixel of the prepared one: the inverse of ``prepared_pixel``."""
+    return _moved(xy, sensor, -1)
+
+
+def _moved(xy: tuple[float, float], sensor: Sensor, way: int) -> tuple[float, float]:
+    """From the user's image into the prepared one, or back (``way`` -1)."""
+    source = sensor.source or Source()
+    if source.view is not None:  # a mark of a view
+        return xy
+    user, own = source.camera, sensor.camera
+    if user is not None and own is not None and not user.is_undistorted() and own.is_undistorted():
+        one, other = (user, own)[::way]
+        place = on_plane(one, np.array([xy]))[0]
+        moved = other.img_from_cam(np.append(place, 1.0)) if np.isfinite(place).all() else None
+        if moved is not None:
+            return float(moved[0]), float(moved[1])
+    left, top, _, _ = source.crop_px
+    return xy[0] - way * left, xy[1] - way * top

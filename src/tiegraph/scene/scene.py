@@ -165,12 +165,9 @@ class Scene:
 
     def image_priors(self) -> np.ndarray:
         """(N, 4, 4) world_from_sensor by prior pose and rig extrinsics, NaN where either is unknown."""
-        rig_from_sensor = np.full((len(self), 4, 4), np.nan)
-        for k in range(len(self)):
-            pose = self.sensor_of(k).sensor_from_rig
-            if pose is not None:
-                rig_from_sensor[k] = np.linalg.inv(pose)
-        return self.world_from_rig[self.frame] @ rig_from_sensor
+        poses = [s.sensor_from_rig for s in self.all_sensors]
+        rig_from_sensor = np.array([np.full((4, 4), np.nan) if p is None else np.linalg.inv(p) for p in poses])
+        return self.world_from_rig[self.frame] @ rig_from_sensor[self.sensor_key]
 
     def with_(self, **changes: Any) -> "Scene":
         """A copy with some fields replaced."""

@@ -1,11 +1,13 @@
-"""Large arrays: tables of columns, sorting of points by voxel, tile or node, even samples."""
+"""Large arrays: tables of columns, sorting of points by voxel, tile or node, even samples, components by blocks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
 
+BLOCK = 1 << 22  # links processed together
 A = TypeVar("A", bound="Arrays")
 T = TypeVar("T", bound="Columns")
 
@@ -77,15 +79,55 @@ def row_numbers(columns: np.ndarray) -> np.ndarray:
     return number
 
 
+def ranks(group: np.ndarray, *keys: np.ndarray) -> np.ndarray:
+    """(K,) place of each item within its group (K,), sorted by keys (K,), the first before the others."""
+    order = np.lexsort((*keys[::-1], group))
+    out = np.empty(len(order), int)
+    out[order] = np.arange(len(order)) - np.searchsorted(group[order], group[order])
+    return out
+
+
 def among_best(group: np.ndarray, value: np.ndarray, most: int) -> np.ndarray:
     """(K,) bool: items that are among the ``most`` highest values (K,) of their group (K,); of equal ones the first."""
-    order = np.lexsort((-value, group))
-    rank = np.arange(len(order)) - np.searchsorted(group[order], group[order])
-    out = np.zeros(len(order), bool)
-    out[order[rank < most]] = True
-    return out
+    return ranks(group, -value) < most
 
 
 def evenly(count: int, most: int) -> np.ndarray:
     """(K,) places of at most ``most`` of ``count`` things, spread evenly over them, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
+def unite(first: np.ndarray, links: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """(nodes,) first node of each node's component, after links between nodes (K,) and (K,), a block at a time, are
+    added to those of ``first`` (nodes,), which is modified. The result does not depend on the order of links."""
+    for a, b in links:
+        while len(a):
+            a, b = _roots(first, a), _roots(first, b)
+            apart = a != b
+            a, b = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
+            first[b] = a  # of several partners the last wins; the others come back in the next round
+    while not np.array_equal(further := first[first], first):
+        first = further
+    return first
+
+
+def _roots(first: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(K,) the roots of nodes (K,), which from now on are one step away."""
+    up = first[nodes]
+    while not np.array_equal(higher := first[up], up):
+        up = higher
+    first[nodes] = up
+    return up
+
+
+def blocks(start: np.ndarray) -> Iterator[slice]:
+    """Slices of K rows, about a block each; the links of row k are those from ``start[k]`` to ``start[k + 1]``."""
+    last = len(start) - 1
+    ends = np.searchsorted(start, np.arange(BLOCK, start[-1], BLOCK))
+    for a, b in pairwise(np.unique(np.concatenate([[0], ends, [last]])).tolist()):
+        yield slice(a, b)
+
+
+def spread(first: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(sum,) the numbers from ``first`` (K,) on, ``count`` (K,) of each."""
+    return np.repeat(first - (np.cumsum(count) - count), count) + np.arange(count.sum())

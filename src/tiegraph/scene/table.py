@@ -111,14 +111,10 @@ class Table:
 
     def numbers(self, column: int | None) -> np.ndarray:
         """(R,) numbers of a column, NaN where there is none."""
-        if column is None:
-            return np.full(len(self.rows), np.nan)
         return np.array([number(self.plain(k, column)) for k in range(len(self.rows))], float)
 
     def metres(self, column: int | None) -> np.ndarray:
         """(R,) lengths of a column, NaN where there is none. Raises InputError for an invalid unit."""
-        if column is None:
-            return np.full(len(self.rows), np.nan)
         size = self.unit_m(column) or 1.0
         return np.array([length_m(self.plain(k, column), size) for k in range(len(self.rows))], float)
 
@@ -249,7 +245,11 @@ def table_of(
         if len(given[0][1]) == len(columns):
             units = [_unit(c) for c in given[0][1]]
         given = given[1:]
-    notes = [*notes, *_commented(path, below, len(columns), delimiter)]
+    bare = [(n, line.lstrip("#% ")) for n, line in below if line[0] in "#%"]
+    lost = [n for n, line in bare if len(split_cells(line, delimiter)) == len(columns) > 1 and holds_values(line)]
+    notes = list(notes)
+    if lost:
+        notes.append(f"{path.name}, {some_lines(lost)}: {len(lost)} rows begin with # or % and are passed over")
     rows = _rows(path, purpose, columns, given, notes)
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
@@ -283,16 +283,13 @@ def _first_rows(lines: Sequence[tuple[int, str]]) -> tuple[int, int | None]:
 
 def _row_delimiters(row: str, delimiter: str | None, width: int) -> list[str | None]:
     """Delimiters with which the rows below a header have its width; first its own."""
-    tried = (delimiter, delimiter_of_rows(row), None)
-    return [d for d in tried if len(_joined_date(_filled(row, d), width)) == width]
 
+    def fits(delimiter: str | None) -> bool:
+        cells = split_cells(row, delimiter)
+        filled = [k for k, cell in enumerate(cells) if cell]  # without the empty ones at its end
+        return len(_joined_date(tuple(cells[: max(filled, default=0) + 1]), width)) == width
 
-def _filled(row: str, delimiter: str | None) -> tuple[str, ...]:
-    """Cells of a row without the empty ones at its end."""
-    cells = split_cells(row, delimiter)
-    while len(cells) > 1 and not cells[-1]:
-        cells.pop()
-    return tuple(cells)
+    return [d for d in (delimiter, delimiter_of_rows(row), None) if fits(d)]
 
 
 def _rows(
@@ -324,13 +321,6 @@ def _rows(
             f"{len(short)} of {len(out)} rows; the missing ones count as empty: was the file cut off?"
         )
     return tuple(out)
-
-
-def _commented(path: Path, below: Sequence[tuple[int, str]], width: int, delimiter: str | None) -> list[str]:
-    """A note on rows that begin with # or %."""
-    rows = [(n, line.lstrip("#% ")) for n, line in below if line[0] in "#%"]
-    lost = [n for n, line in rows if len(split_cells(line, delimiter)) == width > 1 and holds_values(line)]
-    return [f"{path.name}, {some_lines(lost)}: {len(lost)} rows begin with # or % and are passed over"] if lost else []
 
 
 def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:

@@ -1,20 +1,29 @@
-"""Text files: their lines and the cells in them; XML as a tree of elements with their lines, without entities and name
-spaces.
+"""Text files: their lines, the cells in them, the coordinate system that a line names (the first of ODM's files, a
+comment above a header); XML as a tree of elements with their lines, without entities and name spaces.
 """
+
+from __future__ import annotations
 
 import codecs
 import csv
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import utm_by_name
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import known_words, says_value
-from tiegraph.scene.regular import regular
 from tiegraph.text import composed
+
+if TYPE_CHECKING:
+    import pyproj
+
+    from tiegraph.scene.table import Table
 
 _HEAD = 1 << 14  # characters in which a header is searched for
 
@@ -129,6 +138,88 @@ def plain_word(text: str) -> str:
     return re.sub(r"[\W_]+", "_", text).strip("_")
 
 
+_COMMENT = re.compile(
+    r"(?i)[#%]\s*(?:crs|coordinate\s?system)?\s*[:=,]?\s*"
+    r"(EPSG:\d+(?:\+\d+)?|\+proj.*|WGS\s*84\s*UTM.*|(?:PROJ|GEOG|GEOC|COMPD|BOUND|COMPOUND)\w*\[.*)"
+)
+
+
+def crs_above(lines: Iterable[tuple[int, str]], path: object) -> pyproj.CRS | None:
+    """The CRS of the first comment line that names one, as ``# crs: EPSG:6677``, or in Metashape's form, above a
+    table's header. Raises InputError for an invalid one."""
+    for number, line in lines:
+        if line[0] not in "#%":
+            break
+        if found := _COMMENT.fullmatch(line):
+            return parse_crs_line(found[1], f"{path}, line {number}")
+    return None
+
+
+def parse_crs_line(text: str, where: str, more: str = "") -> pyproj.CRS:
+    """The CRS of a text: an EPSG code, a PROJ string, WKT, the name in EPSG's registry (WGS84 alone is that of
+    degrees) or "WGS84 UTM 54N".
+
+    Raises InputError, which ends with ``more``.
+    """
+    import pyproj
+
+    bare = text.strip().lstrip("#").strip()
+    zones = utm_by_name(bare)
+    try:
+        if len(zones) == 1:
+            return pyproj.CRS.from_user_input(zones[0])
+        found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
+        # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
+        if found is not None and (
+            re.search(r"[:=\[]", bare) or found.name.replace(" ", "").lower() == bare.replace(" ", "").lower()
+        ):
+            return found
+        raise pyproj.exceptions.CRSError(bare)
+    except pyproj.exceptions.CRSError:
+        raise InputError(
+            f"{where}: {text!r:.99} is no coordinate system; name one, such as EPSG:32654, WGS84 UTM 54N or +proj=utm "
+            f"+zone=54 +datum=WGS84 +units=m{more}"
+        ) from None
+
+
+def say_axes(crs: pyproj.CRS, name: str) -> tuple[str, ...]:
+    """A note on x and y of a file in a grid whose X is the northing, as in many countries' surveying."""
+    note = (
+        f"{name}: X of {crs.name} is the northing, but x is read as the easting and y as the northing; if x is the "
+        "northing here, give a CSV whose header says northing and easting"
+    )
+    return (note,) if crs.is_projected and crs.axis_info[0].direction.lower() == "north" else ()
+
+
+def units_of(crs: pyproj.CRS | None) -> tuple[float, float, float]:
+    """Metres of the units of east, north and height of a grid, in that of east if it has no heights."""
+    axes = [a.unit_conversion_factor for a in crs.axis_info] if crs is not None and crs.is_projected else [1.0, 1.0]
+    return (axes[0], axes[1], axes[2] if len(axes) > 2 else axes[0])
+
+
+def coordinates_of(table: Table, crs: str | None, notes: list[str]) -> tuple[tuple[str, str, str], str | None]:
+    """Roles of the columns of places and their CRS: degrees with the height above the ellipsoid if they exist,
+    unless a line names a grid; else those of a grid, which a column may name."""
+    degrees = table.find("latitude") is not None and table.find("longitude") is not None
+    grid = table.find("easting") is not None and table.find("northing") is not None
+    named = None if crs is None else parse_crs_line(crs, str(table.path))
+    above = "ellipsoidal height" if table.find("ellipsoidal height") is not None else "height"
+    if degrees and not (grid and named is not None and named.is_projected):
+        if grid:
+            notes.append(
+                f"{table.path.name}: places by latitude, longitude and {above}; for easting, northing and height put a "
+                "line '# crs: EPSG:n' above the header"
+            )
+        return ("latitude", "longitude", above), crs
+    column = table.find("crs")
+    stated = {table.cell(k, column) for k in range(len(table.rows))} - {""}
+    if crs is None and len(stated) == 1:
+        text, where = stated.pop(), f"{table.path}, column {table.columns[column or 0]}"
+        remedy = "; or put a line '# crs: EPSG:n' above the header"
+        crs = parse_crs_line(f"EPSG:{text}" if text.isdigit() else text, where, remedy).srs
+    return ("easting", "northing", "height" if table.find("height") is not None else above), crs
+
+
 @dataclass
 class Element:
     """An element without the prefix of its name."""
@@ -137,9 +228,9 @@ class Element:
     line: int
     given: dict[str, str]
     text: str = ""
-    children: "list[Element]" = field(default_factory=list)
+    children: list[Element] = field(default_factory=list)
 
-    def all(self, name: str) -> "Iterator[Element]":
+    def all(self, name: str) -> Iterator[Element]:
         """Elements of a name at any depth, in their order."""
         todo: list[Element] = [self]
         while todo:

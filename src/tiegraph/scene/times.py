@@ -83,10 +83,8 @@ def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[
     anchor = float(gps_from_utc(np.array(middle))) if dated and weekly else middle
     turns = round((anchor - own) / turn)
     moved = time_s + turns * turn
-    if dated and weekly:
-        return utc_from_gps(moved), ""
     if dated and period_s:
-        return moved, ""
+        return (utc_from_gps(moved) if weekly else moved), ""
     margin = 0.0 if period_s else DAY_S  # for another zone
     overlap = np.nanmin(moved) <= frames.max() + margin and np.nanmax(moved) >= frames.min() - margin
     if period_s:
@@ -94,10 +92,8 @@ def laid_on(time_s: np.ndarray, period_s: float, frames_s: np.ndarray) -> tuple[
     if turns < 1 or own < DATED_S or not overlap:
         return time_s, ""
     weeks = f"{turns * ROLLOVER_WEEKS} weeks"
-    return (
-        moved,
-        f"its dates lie {weeks} before the frames', where a receiver's count of weeks began again: {weeks} added",
-    )
+    note = f"its dates lie {weeks} before the frames', where a receiver's count of weeks began again: {weeks} added"
+    return moved, note
 
 
 def leap_seconds(time_s: np.ndarray) -> np.ndarray:
@@ -186,8 +182,11 @@ def times_of(table: Table) -> Times | None:
     seconds of it.
     """
     week, column = table.find("GPS week"), table.find("time")
-    if column is not None and (week is None or not _within_a_week(table, column)):
-        return times_in(table, column)
+    if column is not None:
+        known = np.zeros(0) if week is None else table.numbers(column)
+        known = known[np.isfinite(known)]
+        if not len(known) or not np.all((known >= 0) & (known <= WEEK_S + _OVER_S)):
+            return times_in(table, column)
     column = table.find("seconds of the week") if column is None else column
     if column is not None:
         return _of_week(table, week, column)
@@ -226,13 +225,6 @@ def _seconds(table: Table, column: int, date: int | None = None) -> np.ndarray:
     unit = UNIT_S.get(table.unit(column))
     seconds = in_seconds(seconds) if unit in (None, 1.0) else seconds * unit
     return np.where(np.abs(seconds) <= TIME_LIMIT_S, seconds, np.nan)
-
-
-def _within_a_week(table: Table, column: int) -> bool:
-    """Whether a column has numbers that can be seconds of a week."""
-    numbers = table.numbers(column)
-    known = numbers[np.isfinite(numbers)]
-    return bool(len(known)) and bool(np.all((known >= 0) & (known <= WEEK_S + _OVER_S)))
 
 
 def _named_gps(table: Table, week: int | None, column: int) -> Times:

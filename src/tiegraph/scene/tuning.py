@@ -9,7 +9,7 @@ from tiegraph.settings import Section
 
 
 class PanoramaTuning(Section):
-    """Recognition of equirectangular panoramas (`panorama.py`)."""
+    """Recognition of equirectangular panoramas (`wideviews.py`)."""
 
     min_width_px: int = Field(1024, gt=0)
     """Smaller panoramas have views of less than 290 px."""
@@ -22,7 +22,7 @@ class PanoramaTuning(Section):
 
 
 class FisheyeTuning(Section):
-    """The image circle of a fisheye lens (`fisheye.py`), at `look_px` where pixels are meant."""
+    """The image circle of a fisheye lens (`wideviews.py`), at `look_px` where pixels are meant."""
 
     look_px: int = Field(480, gt=0)
     """Longer side of a lens' image at which its circle is searched: a pixel is 0.4 % of its radius."""
@@ -98,7 +98,7 @@ class TrendTuning(Section):
 
 
 class RegisteredTuning(Section):
-    """Registered images of a model (`registered.py`)."""
+    """Registered images of a model (`colmapmodel.py`)."""
 
     min_points: int = Field(10, gt=0)
     """Points with small residuals that an image must see: fewer may agree by chance."""
@@ -136,7 +136,7 @@ class BlocksTuning(Section):
 
 
 class JoiningTuning(Section):
-    """Models of blocks put into one frame (`joining.py`)."""
+    """Models of blocks put into one frame (`blocks.py`)."""
 
     shared: int = Field(12, ge=3)
     """Least images of two models for a join, which must agree with it."""

@@ -1,8 +1,9 @@
 """Points, lines and polygons of GIS: GeoJSON features, the layers of a GeoPackage, which GDAL (pyogrio) writes from
-them, and lines and polygons from files."""
+them, their styles, and lines and polygons from files."""
 
 import io
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scene.cells import number
 
 Layer = list[dict[str, Any]]
 _WRITTEN = "1970-01-01T00:00:00.000Z"  # the date in a GeoPackage: the same data, the same bytes
@@ -68,7 +70,8 @@ def read_shapes(path: Path, kind: str, axes: int = 2) -> Shapes:
             parts, crs = [_table(path)], None
         elif ending in (".geojson", ".json"):
             data = json.loads(path.read_text(encoding="utf-8"))
-            parts, crs = _parts(data, kind, axes), _named(data)
+            named = (data.get("crs") or {}).get("properties", {})  # in older GeoJSON; by RFC 7946 it is WGS84
+            parts, crs = _parts(data, kind, axes), str(named.get("name", "OGC:CRS84"))
         else:
             parts, crs = _by_gdal(path, kind, axes)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
@@ -81,15 +84,8 @@ def read_shapes(path: Path, kind: str, axes: int = 2) -> Shapes:
 
 def _table(path: Path) -> np.ndarray:
     rows = [line.replace(";", ",").split(",") for line in path.read_text(encoding="utf-8").splitlines()]
-    first = 0 if _is_number(rows[0][0]) else 1  # a row of names
+    first = 0 if np.isfinite(number(rows[0][0])) else 1  # a row of names
     return _open(np.array([[float(v) for v in row[:2]] for row in rows[first:] if "".join(row).strip()]))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(float(text)))
-    except ValueError:
-        return False
 
 
 def _open(vertices: np.ndarray) -> np.ndarray:
@@ -118,11 +114,6 @@ def _parts(data: dict[str, Any], kind: str, axes: int) -> list[np.ndarray]:
     return out
 
 
-def _named(data: dict[str, Any]) -> str:
-    """The CRS in older GeoJSON; by RFC 7946 it is WGS84."""
-    return str((data.get("crs") or {}).get("properties", {}).get("name", "OGC:CRS84"))
-
-
 def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | None]:
     raw = gdal(str(path), "or save it as GeoJSON, or as a CSV of east and north")
     meta, _, shapes, _ = raw.read(path, layer=0, columns=[])
@@ -130,3 +121,54 @@ def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | 
     given = meta["crs"] or "EPSG:4326"  # any, without which pyogrio warns; coordinates stay unchanged
     raw.write(text, shapes, [], [], driver="GeoJSON", geometry_type=meta["geometry_type"], crs=given)
     return _parts(json.loads(text.getvalue()), kind, axes), meta["crs"]
+
+
+# --- styles of QGIS ---------------------------------------------------------------------------------------------------
+
+
+_PAGE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<qgis version="3.22.0" styleCategories="Symbology">
+ <renderer-v2 type="singleSymbol" symbollevels="0" enableorderby="0" forceraster="0">
+  <symbols>
+   <symbol type="{kind}" name="0" alpha="{alpha}" clip_to_extent="1" force_rhr="0">
+    <layer class="{drawn}" enabled="1" pass="0" locked="0">
+     <Option type="Map">
+{options}
+     </Option>
+     <data_defined_properties>
+      <Option type="Map">
+       <Option type="QString" name="name" value=""/>
+       {properties}
+       <Option type="QString" name="type" value="collection"/>
+      </Option>
+     </data_defined_properties>
+    </layer>
+   </symbol>
+  </symbols>
+ </renderer-v2>
+</qgis>
+"""
+_BY_EXPRESSION = 3  # QgsProperty: an expression
+
+
+def style(drawn: str, alpha: float, options: dict[str, str], by: tuple[str, str] | None = None) -> str:
+    """A style of one symbol; ``by``: the property that an expression over the fields sets."""
+    lines = "\n".join(f'      <Option type="QString" name="{k}" value="{v}"/>' for k, v in options.items())
+    properties = '<Option name="properties"/>'
+    if by is not None:
+        inner = '<Option type="bool" name="active" value="true"/>'
+        inner += f'<Option type="QString" name="expression" value="{by[1]}"/>'
+        inner += f'<Option type="int" name="type" value="{_BY_EXPRESSION}"/>'
+        properties = f'<Option type="Map" name="properties"><Option type="Map" name="{by[0]}">{inner}</Option></Option>'
+    kind = "marker" if drawn == "SimpleMarker" else "line"
+    return _PAGE.format(kind=kind, alpha=alpha, drawn=drawn, options=lines, properties=properties)
+
+
+def write_styles(raw: Any, path: Path, styles: Mapping[str, str]) -> None:
+    """Add the styles of layers, by the names of these, to a GeoPackage that has them; ``raw``: of ``vectors.gdal``."""
+    columns = ("f_table_catalog", "f_table_schema", "f_table_name", "f_geometry_column", "styleName", "styleQML",
+               "styleSLD", "useAsDefault", "description", "owner")  # fmt: skip
+    rows = [("", "", name, "geom", name, text, "", True, "tiegraph", "") for name, text in styles.items()]
+    values = [np.array(column, bool if column[0] is True else object) for column in zip(*rows)]
+    how = {"layer": "layer_styles", "geometry_type": None, "crs": None}
+    raw.write(path, None, values, [*columns], driver="GPKG", append=True, **how)

@@ -5,7 +5,7 @@ in a child process, because an error in COLMAP's worker threads aborts the proce
 are roughly known are a *start* (``sfm.start``); what fails its acceptance test is mapped by COLMAP: global with a rig
 or from 60 images, else incremental (``mapping``). The receipt says which and why. Above 1000 images without a usable
 coarse model, a mapper makes rough models of blocks (``blockwise``, over the pool; cut and joined by the same
-``scene.blocks`` and ``scene.joining`` as the coarse model), and the start takes their poses. Images that no verified
+``scene.blocks`` and ``scene.blocks`` as the coarse model), and the start takes their poses. Images that no verified
 pair ties to the model are a survey of their own and become a model of their own, whichever mapper made it; the
 receipt names them. A rig held as given that leaves most tied images without a place, or shows as a principal point
 that no lens has, is reported to contradict the images (``registrationreport``); it is not changed.

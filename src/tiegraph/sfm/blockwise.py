@@ -2,13 +2,13 @@
 
 A mapper's time grows faster than the number of images, and so does the damage of one false tie. Blocks keep both
 passes of a place together and share the frames at their borders (``scene/blocks.py``); their models are joined by the
-shared images (``scene/joining.py``). All images are then adjusted together, starting from these poses.
+shared images (``scene/blocks.py``). All images are then adjusted together, starting from these poses.
 """
 
 import logging
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ import pycolmap
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.blocks import Block, JoinResult, Poses, blocks_of, join_models, moved
 from tiegraph.scene.colmapmodel import image_poses, read_model, tracks
-from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import ViewGraph
@@ -36,25 +35,12 @@ def serially(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> 
     return [function(item, *args) for item in items]
 
 
-@dataclass(frozen=True)
-class _Links:
-    """The verified pairs of images."""
-
-    i: np.ndarray
-    j: np.ndarray
-    matches: np.ndarray
-
-    def counts(self) -> np.ndarray:
-        """(T,) numbers of matches."""
-        return self.matches
-
-
 def poses_by_blocks(
     request: Request, scene: Scene, graph: ViewGraph, tuning: SceneTuning, log_file: Path, run_map: RunMap
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """cam_from_world (N, 4, 4) of all images from rough models of blocks, NaN = in no block of the largest component;
     notes. ``request``: the request of the whole survey; ``run_map`` runs the blocks."""
-    blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers), tuning.blocks)
+    blocks = blocks_of(scene, graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers, tuning.blocks)
     parts = [
         replace(
             request,

@@ -19,8 +19,8 @@ import numpy as np
 import pycolmap
 from scipy.sparse import coo_array, csr_array, triu
 
+from tiegraph.scene.graph import strongest_first
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.weakties import strongest_first
 from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations, read_verified
 

@@ -10,13 +10,12 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
-from tiegraph.scene.colmapmodel import image_poses, read_model
-from tiegraph.scene.registered import Registration, registration
+from tiegraph.scene.colmapmodel import Registration, image_poses, read_model, registration
+from tiegraph.scene.graph import WeaklyTied
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.scene.weakties import WeaklyTied
 from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.registered import BY_RIG, Registration
+from tiegraph.scene.colmapmodel import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import FixTuning
 

@@ -20,9 +20,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama
-from tiegraph.scene.colmapmodel import matrix, rigid3d
+from tiegraph.scene.colmapmodel import LEFT_OUT, matrix, rigid3d
 from tiegraph.scene.evidence import LIMIT
-from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.consistency import Explained, MatchSource, explained
 from tiegraph.sfm.ties import Ties, find_ties, fits, tested, together

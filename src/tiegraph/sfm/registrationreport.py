@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.colmapmodel import tracks
-from tiegraph.scene.registered import BY_RIG, LEFT_OUT, Registration
+from tiegraph.scene.colmapmodel import BY_RIG, LEFT_OUT, Registration, tracks
+from tiegraph.scene.graph import WeaklyTied, named, weakly_tied
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.weakties import WeaklyTied, named, weakly_tied
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.tuning import RegistrationTuning, Tuning
 from tiegraph.text import some

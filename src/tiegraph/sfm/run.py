@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.colmapmodel import observations
+from tiegraph.scene.colmapmodel import THREADS, factorised, observations
 from tiegraph.scene.colmaprows import read_cache, sizes
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.solver import THREADS, factorised
 from tiegraph.sfm.adjustment.adjust import free_cameras, impossible_camera
 from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait
 from tiegraph.sfm.database import write_working_copy

@@ -27,8 +27,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation, robust_umeyama
-from tiegraph.geometry.rays import cross, off_plane
-from tiegraph.geometry.transforms import angle_deg
+from tiegraph.geometry.transforms import angle_deg, cross, off_plane
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig, rays_or_axis

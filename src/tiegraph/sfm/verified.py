@@ -11,7 +11,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.rays import cross
+from tiegraph.geometry.transforms import cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix, registered_images
 from tiegraph.scene.rig import rays_or_axis

@@ -7,8 +7,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.rays import normal_matrices
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.geometry.transforms import normal_matrices
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig, pixel_rays
 from tiegraph.scene.scene import Scene
 from tiegraph.watch.tuning import FramesTuning

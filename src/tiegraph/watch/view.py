@@ -11,7 +11,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_umeyama
 from tiegraph.geometry.gravity import levelled
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.scene import Scene
 
 _WIDE = 0.2  # of the length of the positions' extent: from this width on they tell all seven unknowns

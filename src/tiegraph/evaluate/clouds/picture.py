@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from scipy import ndimage
 
 from tiegraph.evaluate.clouds.m3c2 import Differences
-from tiegraph.scene.figures import png
+from tiegraph.scene.results import png
 from tiegraph.text import round_below
 
 _CELLS = 500  # along the longer side

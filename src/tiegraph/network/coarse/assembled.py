@@ -3,7 +3,7 @@
 A model is made roughly (few tracks, no final adjustment): accurate to decimetres, which is enough to choose pairs and
 to start from. Time grows linearly with the images. A survey of some hundred images is mapped as a whole. Beyond that,
 ``scene.blocks`` cuts the graph of frames into blocks that keep both passes of a place together and share the frames
-at their borders. Each block is mapped separately, and ``scene.joining`` puts the models into one frame by their
+at their borders. Each block is mapped separately, and ``scene.blocks`` puts the models into one frame by their
 shared images. Joins that the shared images or the other joins contradict are refused and reported. If two blocks
 place a group of images differently, the ties that hold it there are found (``false_ties``), and the next try is made
 without them. Components that cannot be joined in the end are judged separately, and the match counts decide between
@@ -28,9 +28,8 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.trust import near_frames
 from tiegraph.network.tuning.coarse import CoarseTuning
-from tiegraph.scene.blocks import Block
+from tiegraph.scene.blocks import Block, Join, JoinResult, Poses, join, join_models, moved
 from tiegraph.scene.graph import cheapest_cut, parts
-from tiegraph.scene.joining import Join, JoinResult, Poses, join, join_models, moved
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import JoiningTuning

@@ -16,7 +16,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy
 from tiegraph.network.coarse.visible import Overlap, observed_proxy, shared_surface, visible_points
 from tiegraph.network.tuning.coarse import CoarseTuning, TracksTuning
-from tiegraph.scene.matches import PreviewMatches, Visibility
+from tiegraph.scene.pairs import PreviewMatches, Visibility
 from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, pixel_rays, rig_from_dict, rig_to_dict
 
 

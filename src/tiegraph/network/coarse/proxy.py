@@ -8,7 +8,7 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.rays import unit_rays
+from tiegraph.geometry.transforms import unit_rays
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.rig import on_plane
 

@@ -23,8 +23,7 @@ from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.graph import strongest_pairs
-from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import REASONS, Pairs, pair_key
+from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, pair_key
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.text import some

@@ -17,10 +17,8 @@ from scipy.spatial import cKDTree
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Boxes, Proxy, View, assumed_proxy, observed_proxy
 from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
-from tiegraph.scene.graph import spread
-from tiegraph.scene.matches import Visibility
-from tiegraph.scene.pairs import pair_key
-from tiegraph.scene.sorting import Columns
+from tiegraph.scene.pairs import Visibility, pair_key
+from tiegraph.scene.sorting import Columns, spread
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
 

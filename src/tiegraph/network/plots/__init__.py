@@ -15,8 +15,8 @@ from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.plots.map import BLUE, DPI, INK, RED, map_png, weak_pairs
 from tiegraph.network.sections.light import Cue
 from tiegraph.network.sections.sections import Section
-from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
+from tiegraph.scene.results import png
 from tiegraph.scene.scene import Scene
 
 __all__ = ["curves_png", "map_png", "matrix_png", "sections_png", "weak_pairs"]

@@ -12,8 +12,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.results import png
 from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.text import round_below
 

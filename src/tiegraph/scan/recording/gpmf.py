@@ -25,8 +25,8 @@ import numpy as np
 from tiegraph.scan.recording import Fixes, Readings, believed
 from tiegraph.scan.recording.tracks import BrokenTrack, Samples, samples, tracks
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import date_text, seconds_of
-from tiegraph.scene.regular import regular
 from tiegraph.scene.times import DAY_S
 
 _NUMBERS = {

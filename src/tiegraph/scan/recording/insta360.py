@@ -25,7 +25,7 @@ import numpy as np
 
 from tiegraph.scan.recording import Readings
 from tiegraph.scan.recording.tracks import BrokenTrack
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular
 
 _OLD, _SPHERE = 0, 3
 _A_LENS = {_OLD: 6, _SPHERE: 19}  # numbers

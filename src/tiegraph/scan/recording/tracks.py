@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular
 
 VIDEO = b"vide"
 _MOST_SAMPLES = 1_000_000  # bound of memory: telemetry of 11 days, one a second

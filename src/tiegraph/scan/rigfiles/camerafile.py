@@ -49,7 +49,7 @@ from tiegraph.scan.rigfiles.cameraread import (
 from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, is_number, lens_fault, nearest
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
-from tiegraph.scene.regular import regular
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.textfile import Element, parse_xml, text_lines, utf8_text
 
 PROGRAMS = (

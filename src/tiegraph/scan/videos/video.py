@@ -24,11 +24,10 @@ from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import KINDS as TOPICS
 from tiegraph.scan.videos.bagfilms import BagFilm
 from tiegraph.scan.videos.videotime import VideoClock
-from tiegraph.scene.atomic import replacing, scratch_folder
+from tiegraph.scene.atomic import real_path, regular, replacing, scratch_folder
 from tiegraph.scene.bags import open_bag
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
-from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 _TAKEN = ".taken.json"  # hidden: no image

@@ -15,10 +15,10 @@ from tiegraph.scan.recording.insta360 import read_trailer
 from tiegraph.scan.recording.tracks import BrokenTrack, boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.exif import Taken
 from tiegraph.scene.names import clean
-from tiegraph.scene.regular import regular
 from tiegraph.scene.times import DAY_S
 
 _MP4_EPOCH_S = datetime(1904, 1, 1, tzinfo=timezone.utc).timestamp()  # ISO/IEC 14496-12, 8.2.2

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import far_from_rest
@@ -152,9 +153,6 @@ def _refuse_radians(fixes: Gnss) -> None:
         )
 
 
-# --- rows among each other ------------------------------------------------------------------------------------------
-
-
 def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> tuple[np.ndarray, str]:
     """(N,) which of some positions (N, 3) are not used, as they are far from the rest, and a note.
 
@@ -239,14 +237,11 @@ def at_times(gnss: Gnss, world_m: np.ndarray, time_s: np.ndarray, max_gap_s: flo
 
     ``world_m`` (G, 3) are the rows in the world. Sigmas are the larger of the two neighbours'.
     """
-    heading = np.radians(np.where(np.isnan(gnss.heading_deg), 0.0, gnss.heading_deg))
-    cos, sin, zero, one = np.cos(heading), np.sin(heading), np.zeros_like(heading), np.ones_like(heading)
-    turn = np.stack([np.stack(r, -1) for r in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))], axis=1)
+    turn = Rotation.from_euler("z", np.nan_to_num(gnss.heading_deg)[:, None], degrees=True).as_matrix()
     moved = interpolate(gnss.time_s, rigid(turn, world_m), time_s, max_gap_s)
     there = np.isfinite(moved[:, 0, 3])
-    right = np.clip(
-        np.searchsorted(gnss.time_s, np.where(there, time_s, gnss.time_s[0]) - 1e-6), 0, len(gnss.time_s) - 1
-    )
+    at_s = np.where(there, time_s, gnss.time_s[0])
+    right = np.minimum(np.searchsorted(gnss.time_s, at_s - 1e-6), len(gnss.time_s) - 1)
     exact = np.abs(gnss.time_s[right] - time_s) < 1e-6
     left = np.where(exact, right, np.maximum(right - 1, 0))
     sigma = np.fmax(gnss.sigma_m[left], gnss.sigma_m[right])

@@ -27,7 +27,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import enu_axes, geodetic_from_ecef
 from tiegraph.scene.bags import open_bag, split_topics, stamp_ns
-from tiegraph.scene.cells import number, parse_time
+from tiegraph.scene.cells import degrees, number, parse_time
 from tiegraph.scene.gnss.fixes import Gnss
 from tiegraph.scene.textfile import decoded, text_lines
 from tiegraph.scene.times import GPS_EPOCH_S, WEEK_S, check_week, gps_note, utc_from_gps
@@ -136,13 +136,8 @@ def _numbers(cells: list[str], header: _Header) -> list[float]:
     values = [number(c) for c in cells]
     if not header.sexagesimal:
         return values
-    return [_degrees(cells[:3]), _degrees(cells[3:6]), *values[6:]]
-
-
-def _degrees(cells: list[str]) -> float:
-    degrees, minutes, seconds = (number(c) for c in cells)
-    size = abs(degrees) + minutes / 60 + seconds / 3600
-    return -size if cells[0].startswith("-") else size
+    angles = ("{}°{}'{}\"".format(*cells[k : k + 3]) for k in (0, 3))
+    return [*(degrees(a)[0] for a in angles), *values[6:]]
 
 
 def _places(table: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarray | None]:

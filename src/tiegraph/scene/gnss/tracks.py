@@ -29,13 +29,7 @@ _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})
 _FIXES = {"1": "single", "2": "differential", "3": "PPS", "4": "RTK fixed", "5": "RTK float", "6": "dead reckoning",
           "7": "manual", "8": "simulated"}  # fmt: skip
 _NAN = float("nan")
-
-
 _BY_WORTH = "0876129354"  # kinds of fix, the best last: some receivers write PPS for PPP
-
-
-def _rank(cells: list[str]) -> int:
-    return _BY_WORTH.find(cells[6])
 
 
 @dataclass
@@ -47,28 +41,6 @@ class _Log:
     sigma: dict[int, list[float]] = field(default_factory=dict)  # east, north, up of a row
     damaged: list[tuple[int, str]] = field(default_factory=list)  # line and sentence
     talkers: int = 0  # GGA sentences of an epoch that has one already
-    _row_at: dict[str, int] = field(default_factory=dict)  # the last GGA of a time of day
-    _sigma_at: dict[str, list[float]] = field(default_factory=dict)  # of a GST that stands before its GGA
-
-    def gga(self, line: int, cells: list[str]) -> None:
-        """Of two talkers in one epoch (GP single, GN fixed) the better fix counts."""
-        if self.rows and self.rows[-1][1][1] == cells[1] != "":
-            self.talkers += 1
-            if _rank(cells) > _rank(self.rows[-1][1]):
-                self.rows[-1] = (line, cells)
-            return
-        self._row_at[cells[1]] = len(self.rows)
-        if cells[1] in self._sigma_at:
-            self.sigma[len(self.rows)] = self._sigma_at.pop(cells[1])
-        self.rows.append((line, cells))
-
-    def gst(self, cells: list[str]) -> None:
-        north, east, up = (number(c) for c in cells[6:9])
-        row = self._row_at.pop(cells[1], None)
-        if row is None:
-            self._sigma_at[cells[1]] = [east, north, up]
-        else:
-            self.sigma[row] = [east, north, up]
 
     def date(self, time: str, day: str) -> None:
         """``day`` as ddmmyyyy; an invalid one counts as missing."""
@@ -132,23 +104,36 @@ def _read(raw: bytes) -> _Log:
     found = [(n, m) for n, line in enumerate(lines, start=1) if b"$" in line and (m := _SENTENCE.search(line))]
     summed = any(m[3] for _, m in found)  # a receiver writes checksums always or never
     void: list[tuple[str, str]] = []
+    row_at: dict[str, int] = {}  # the last GGA of a time of day
+    early: dict[str, list[float]] = {}  # sigmas of a GST that stands before its GGA
     log = _Log()
     for n, match in found:
         cells = match[1].decode("ascii", errors="replace").split(",")
+        time, rows = cells[1], log.rows
         least = {b"GGA": 13, b"RMC": 10, b"ZDA": 5, b"GST": 9}[match[2]]
         checksum = np.bitwise_xor.reduce(np.frombuffer(match[1], np.uint8))
         if len(cells) < least or (summed and not (match[3] and checksum == int(match[3][1:], 16))):
             log.damaged.append((n, match[0].decode("ascii", errors="replace").strip()))
+        elif match[2] == b"GGA" and rows and rows[-1][1][1] == time != "":
+            log.talkers += 1  # two in one epoch (GP single, GN fixed): the better fix counts
+            rows[-1] = max(rows[-1], (n, cells), key=lambda row: _BY_WORTH.find(row[1][6]))
         elif match[2] == b"GGA":
-            log.gga(n, cells)
+            row_at[time] = len(rows)
+            if time in early:
+                log.sigma[len(rows)] = early.pop(time)
+            rows.append((n, cells))
         elif match[2] == b"GST":
-            log.gst(cells)
+            north, east, up = (number(c) for c in cells[6:9])
+            if time in row_at:
+                log.sigma[row_at.pop(time)] = [east, north, up]
+            else:
+                early[time] = [east, north, up]
         elif match[2] == b"ZDA":
-            log.date(cells[1], f"{cells[2]:0>2}{cells[3]:0>2}{cells[4]}")
+            log.date(time, f"{cells[2]:0>2}{cells[3]:0>2}{cells[4]}")
         elif cells[2] == "A":
-            log.date(cells[1], _four_digits(cells[9]))
+            log.date(time, _four_digits(cells[9]))
         else:
-            void.append((cells[1], _four_digits(cells[9])))
+            void.append((time, _four_digits(cells[9])))
     if not log.dates:
         for time, day in void[:1]:  # of a receiver without a fix, but with a clock
             log.date(time, day)

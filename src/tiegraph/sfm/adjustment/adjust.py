@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.solver import all_images, factorised, options_of, undamped
+from tiegraph.scene.colmapmodel import all_images, factorised, options_of, undamped
 from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, add_priors
 from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned

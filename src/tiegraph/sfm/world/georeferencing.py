@@ -13,10 +13,9 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
-from tiegraph.scene.colmapmodel import image_poses, matrix, read_model
+from tiegraph.scene.colmapmodel import MOST_FRAMES, image_poses, matrix, read_model
 from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.solver import MOST_FRAMES
 from tiegraph.sfm.adjustment.adjust import adjusted_to, free_cameras
 from tiegraph.sfm.adjustment.constraints import PlacePrior
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, of_one_shot, rig_priors

@@ -17,8 +17,7 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import CHANCE, LIMIT, fits_better
-from tiegraph.scene.markpixels import AS_IS, Copy, file_camera, lies_in, prepared_pixel
-from tiegraph.scene.rig import on_plane
+from tiegraph.scene.rig import AS_IS, Copy, file_camera, on_plane, prepared_pixel, within
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import MarkTuning
 
@@ -136,7 +135,7 @@ def as_copy(marks: Marks, scene: Scene, copy: Copy, tuning: MarkTuning) -> Marks
         xy[k] = prepared_pixel(copy.pixel((x, y), sensor, int(marks.orientation[k])), sensor)
         if copy.size < 1:
             sigma[k] = tuning.mark_sigma_px / copy.size
-    inside = np.array([lies_in(p, scene.sensor_of(int(k))) for p, k in zip(xy, marks.image)], bool)
+    inside = np.array([within(p, scene.sensor_of(int(k)).camera) for p, k in zip(xy, marks.image)], bool)
     return replace(marks, xy_px=xy, sigma_px=sigma).where(inside)
 
 

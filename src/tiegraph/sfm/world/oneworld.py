@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.colmapmodel import merged
+from tiegraph.scene.composed import merged
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieFit, TieTest, apart, moved
