@@ -21,9 +21,9 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieFit, TieTest, apart, moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches
-from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.upright import RIGHT_ANGLE_DEG
 from tiegraph.text import known_to
 
 COLUMNS = [
@@ -221,7 +221,7 @@ def _by_positions(
     if not first.placed:
         return replace(out, why_not=f"{loose}, and the model that defines the world has no positions for comparison")
     roll = own.placing.fit.roll_sigma_deg
-    if roll > tuning.world.similarity_fit.roll_limit_deg:
+    if roll > tuning.world.up.lone_sigma_deg:
         known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
         return replace(
             out, why_not=(f"{loose}, and its positions do not determine the rotation about its track ({known})")
