@@ -137,7 +137,8 @@ class SimilarityFitTuning(Section):
     """Selection of evidence, and whether it determines the vertical (`similarityfit.py`, `upright.py`)."""
 
     min_positions: int = Field(3, ge=3)
-    """Positions and control points that are needed to place a model, by all or by a source alone."""
+    """Positions and control points that are needed to place a model, by all or by a source alone, and held-out ones
+    that are needed to check it."""
     rounds: int = Field(2, gt=0)
     """Rounds of placing: the second has the true scale for frames known through another camera than the first."""
     noise_rounds: int = Field(3, ge=0)
@@ -180,8 +181,6 @@ class AdjustmentTuning(Section):
     """Largest ratio of the held-out residual of the adjustment to that of the similarity."""
     clip_sigmas: float = Field(5.0, gt=0)
     """Limit on the residual of a held-out outlier."""
-    min_held: int = Field(3, gt=0)
-    """Held-out positions that are needed for their check."""
 
 
 class WorldTuning(Section):

@@ -227,7 +227,7 @@ def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
     (K, 3) metres."""
     fixes, bounds = placing.fixes, placing.tuning.adjustment
     plain, bends = placing.held_out(bends=False), placing.held_out(bends=True)
-    if plain is None or bends is None or fixes.held.sum() < bounds.min_held:
+    if plain is None or bends is None or fixes.held.sum() < placing.tuning.similarity_fit.min_positions:
         if len(placing.measured.points) and not len(fixes):
             return True, "there are only control points, and none was held out", None
         return False, "there are too few positions to hold some out as a check", None
