@@ -152,9 +152,9 @@ def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
         given = survey.given
         found, world, cpu = georeferenced(survey, way, given)
         row = errors(survey, found, world) | held_out(found)
-        row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.receiver.antenna_m}
+        row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.antenna_m}
         row |= {
-            "clock_s": found.receiver.offset_s,
+            "clock_s": found.clock_offset_s,
             "accuracy": found.control.accuracy,
             "notes": list(found.findings.notes),
         }

@@ -27,7 +27,6 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fit import Evidence
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference, georeference
-from tiegraph.sfm.world.unknowns import LeverArm
 
 
 class World(NamedTuple):
@@ -209,8 +208,8 @@ def evidence_of(place: np.ndarray, position: np.ndarray, sigma: float, **more: o
     """Cameras at places of a model, unturned, with a position each, of which nothing else is known."""
     count = len(place)
     given = {
-        "frame": np.arange(count), "pose": transforms.rigid(np.eye(3), place), "position": position,
-        "sigma": np.full((count, 3), sigma), "orientation": np.full((count, 3, 3), np.nan),
-        "arm": LeverArm(np.zeros(3)), "log_scale": None,
+        "frame": np.arange(count), "pose": transforms.rigid(np.eye(3), place), "speed": np.zeros((count, 4, 4)),
+        "position": position, "sigma": np.full((count, 3), sigma), "orientation": np.full((count, 3, 3), np.nan),
+        "modes": np.zeros((count, 3, 0)), "antenna": np.zeros(3),
     }  # fmt: skip
     return Evidence(**given | more)

@@ -26,7 +26,7 @@ from tiegraph.sfm.finish import _open_places
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.systematic.mountings import two_sizes
+from tiegraph.sfm.systematic import two_sizes
 from tiegraph.sfm.tuning import Tuning
 
 TUNING = Tuning()

@@ -15,13 +15,11 @@ from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
-from tiegraph.sfm.world import georef
-from tiegraph.sfm.world.fixes import Measurements
-from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.fixes import Measured, Measurements
+from tiegraph.sfm.world.georef import Georeference, of_fit
 from tiegraph.sfm.world.marks import Target, without_blunders
-from tiegraph.sfm.world.placed import Model, SimilarityFit
-from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.similarityfit import fit_to_world
+from tiegraph.sfm.world.scale import LengthScale
+from tiegraph.sfm.world.similarityfit import SimilarityFit, fit_to_world
 from tiegraph.sfm.world.statements import with_statements
 
 COUNT = 40
@@ -63,17 +61,17 @@ def found_by(
     poses: np.ndarray, scene: Scene, rig_scale: float | None = None, points: tuple | None = None, ring: bool = True
 ) -> Georeference:
     """The judged placement of a model that is the truth itself, metres as units; the rig's scale times the truth's."""
-    scale = None if rig_scale is None else RigScale(rig_scale, RIG_SIGMA, True)
+    lengths = () if rig_scale is None else (LengthScale(rig_scale, RIG_SIGMA),)
     up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, True, "the ring of side cameras") if ring else None
     found, given = [], Measurements()
     if points is not None:
         given = Measurements(control=points[0])
         found = [Target(p, 1e-6 * np.eye(3), np.zeros(0, int), np.zeros((0, 2))) for p in points[1]]
         found = without_blunders(found, points[0], TUNING.marks)
-    view = Model(transforms.invert(poses), up, scale, found, scene.names)
-    placing = fit_to_world(view, scene, SETTINGS, given, TUNING)
+    images = transforms.invert(poses)
+    placing = fit_to_world(Measured(images, up, scene, SETTINGS, given, TUNING, lengths=lengths, targets=found))
     assert isinstance(placing, SimilarityFit)
-    return with_statements(georef._placed(placing, view, scene, given), scene, found)
+    return with_statements(of_fit(placing), found)
 
 
 @pytest.mark.slow

@@ -15,10 +15,9 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning, WorldTuning
-from tiegraph.sfm.world.antenna import up_to_use
-from tiegraph.sfm.world.fit import Evidence, _Problem, _sigma, by_errors, fit_similarity
-from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
-from tiegraph.sfm.world.unknowns import Bend, LeverArm, LogScale
+from tiegraph.sfm.world.fit import ANTENNA, CLOCK, Evidence, _Problem, by_errors, fit_similarity
+from tiegraph.sfm.world.positionerrors import PositionErrors, Stated
+from tiegraph.sfm.world.upright import up_to_use
 
 TUNING = FitTuning()
 TRUE = Similarity(2.5, Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix(), np.array([10.0, 20.0, 3.0]))
@@ -47,22 +46,18 @@ def _winding(noise_m: float) -> Evidence:
     orientation[-3:] = np.nan
     return Evidence(
         frame=frame, pose=pose, position=position + noise_m * rng.standard_normal((40, 3)),
-        sigma=np.tile([0.05, 0.05, 0.1], (40, 1)), orientation=orientation,
-        arm=LeverArm(GIVEN, True),
-        log_scale=LogScale(np.log(2.6), 0.1), speed=speed, estimate_offset=True,
+        sigma=np.tile([0.05, 0.05, 0.1], (40, 1)), orientation=orientation, modes=np.zeros((40, 3, 0)),
+        antenna=GIVEN, free=frozenset([ANTENNA, CLOCK]), log_scale=(np.log(2.6), 0.1), speed=speed,
     )  # fmt: skip
 
 
 WITHOUT = {
     "all": {},
-    "no lever arm": {"arm": LeverArm(GIVEN)},
-    "no clock": {"estimate_offset": False, "speed": None},
-    "clock without speeds": {"speed": None},
-    "positions alone": {
-        "arm": LeverArm(GIVEN), "estimate_offset": False, "speed": None, "log_scale": None,
-        "orientation": np.full((40, 3, 3), np.nan),
-    },
-}  # fmt: skip
+    "no lever arm": {"free": frozenset([CLOCK])},
+    "no clock": {"free": frozenset([ANTENNA])},
+    "clock without speeds": {"speed": np.zeros((40, 4, 4))},
+    "positions alone": {"free": frozenset(), "log_scale": None, "orientation": np.full((40, 3, 3), np.nan)},
+}
 
 
 @pytest.mark.parametrize("less", WITHOUT.values(), ids=WITHOUT)
@@ -75,15 +70,14 @@ def test_derivatives_are_those_of_the_residuals(less, up, turn_deg) -> None:
     x = np.full(problem.size, 0.1)
     x[:3] = np.radians(turn_deg) * np.array([0.6, -0.64, 0.48])
 
-    for with_scale in (True, False):
+    def residuals(y: np.ndarray) -> np.ndarray:
+        return np.concatenate([(problem.residuals(y) * weight[:, None]).ravel(), problem.others(y)[0]])
 
-        def residuals(y: np.ndarray, with_scale: bool = with_scale) -> np.ndarray:
-            return np.concatenate([(problem.positions(y) * weight[:, None]).ravel(), problem.others(y, with_scale)])
-
-        own = problem.derivatives(x, weight, with_scale)
-        numeric = np.mean([approx_fprime(x, residuals, sign * 1e-6) for sign in (1, -1)], axis=0)
-        assert own.shape == numeric.shape
-        np.testing.assert_allclose(own, numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5)
+    places = problem.positions(x)[1] * (weight[:, None] / evidence.sigma)[:, :, None]
+    own = np.concatenate([places.reshape(-1, problem.size), problem.others(x)[1]])
+    numeric = np.mean([approx_fprime(x, residuals, sign * 1e-6) for sign in (1, -1)], axis=0)
+    assert own.shape == numeric.shape
+    np.testing.assert_allclose(own, numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5)
 
 
 def test_scale_that_is_held_back_has_no_derivative() -> None:
@@ -91,26 +85,16 @@ def test_scale_that_is_held_back_has_no_derivative() -> None:
     problem = _Problem(evidence, UP, TRUE, TUNING)
     x = np.zeros(problem.size)
     x[6] = 6.0  # beyond what a step may change it by
-    own = problem.derivatives(x, np.ones(40))
-    np.testing.assert_array_equal(own[:, 6], 0.0)
+    for rows in (problem.positions(x)[1], problem.others(x)[1]):
+        np.testing.assert_array_equal(rows[..., 6], 0.0)
 
 
 def test_truth_is_found_with_lever_arm_and_clock() -> None:
     found = fit_similarity(replace(_winding(0.0), log_scale=None), UP, TUNING)
     assert found.similarity.scale == pytest.approx(TRUE.scale, rel=5e-4)
     np.testing.assert_allclose(found.similarity.rotation, TRUE.rotation, atol=2e-3)
-    np.testing.assert_allclose(found.arm.place[:2], LEVER[:2], atol=0.02)
-    assert found.clock.offset_s == pytest.approx(LATE_S, abs=0.01) and found.inlier.all()
-
-
-def test_the_sigma_of_what_residuals_leave_open_is_infinite():
-    """Three unknowns: the first is measured, the second only in a sum with the third."""
-    rows = np.array([[2.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 3.0, 3.0]])
-    assert [_sigma(rows, k) for k in (0, 1, 2)] == pytest.approx([0.5, np.inf, np.inf])
-    assert _sigma(rows[:1], 1) == np.inf, "fewer residuals than unknowns"
-    full = np.random.default_rng(0).normal(size=(9, 4))
-    expected = np.sqrt(np.diag(np.linalg.inv(full.T @ full)))
-    assert [_sigma(full, k) for k in range(4)] == pytest.approx(expected, rel=1e-9)
+    np.testing.assert_allclose(found.antenna[:2], LEVER[:2], atol=0.02)
+    assert found.offset_s == pytest.approx(LATE_S, abs=0.01) and found.inlier.all()
 
 
 def test_straight_track_needs_the_upward_direction() -> None:
@@ -145,10 +129,11 @@ def _errors(white: float, slow: float, lasts_s: float, rng: np.random.Generator)
     return white * rng.standard_normal((COUNT, 3)) + slow * z
 
 
-def _linear(residual: np.ndarray, sigma: float, level: np.ndarray) -> Linear:
+def _errors_in(residual: np.ndarray, sigma: float, level: np.ndarray) -> PositionErrors:
     rows, here = np.zeros((COUNT, 3, 8)), PATH - PATH.mean(axis=0)
     rows[:, :, :3], rows[:, :, 3:6], rows[:, :, 6], rows[:, :, 7] = -skew(here), np.eye(3), here, sigma * residual
-    return Linear(rows=rows, stated=stated(COUNT, sigma, np.nan, level=level), known=np.diag([1e-6] * 3 + [0.0] * 5))
+    known = np.diag([1e-6] * 3 + [0.0] * 5)
+    return PositionErrors(rows, stated(COUNT, sigma, np.nan, level=level), known, NoiseTuning())
 
 
 def stated(count: int, sigma: float, common: float, **more: np.ndarray) -> Stated:
@@ -166,7 +151,7 @@ def test_errors_over_their_sigmas(white, slow, lasts_s, bounds) -> None:
     """Of turn, shift and scale, over surveys of one kind; errors that are all white may be thought to last a little."""
     rng, level, ratios, sizes = np.random.default_rng(1), np.zeros(COUNT, int), [], []
     for _ in range(25):
-        errors = PositionErrors(_linear(_errors(white, slow, lasts_s, rng), 2.0, level), NoiseTuning())
+        errors = _errors_in(_errors(white, slow, lasts_s, rng), 2.0, level)
         moved, covariance = errors.step({})
         ratios.append(moved / np.sqrt(np.diag(covariance)))
         sizes.append([errors.sizes.white[0], errors.sizes.slow[0]])
@@ -178,7 +163,7 @@ def test_each_level_of_the_stated_sigma_has_its_own_size() -> None:
     level = (np.arange(COUNT) < 60).astype(int)
     off = _errors(1.0, 1e-3, 60.0, np.random.default_rng(2)) * np.where(level, 4.0, 0.5)[:, None]
     level[:3] = 7  # too few to tell by themselves
-    sizes = PositionErrors(_linear(off, 1.0, level), NoiseTuning()).sizes
+    sizes = _errors_in(off, 1.0, level).sizes
     assert sizes.white[0] == pytest.approx(0.5, rel=0.2) and sizes.white[1] == pytest.approx(4.0, rel=0.2)
     assert len(sizes.white) == 3
 
@@ -190,9 +175,8 @@ def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, w
     evidence = evidence_of(place, place + 0.01 * np.random.default_rng(3).standard_normal(place.shape), 0.1)
     turn = np.radians(turned_deg)
     up = Up(np.array([0.0, np.sin(turn), np.cos(turn)]), 10.0, ring=False, tilt=False, cameras="the images")
-    notes: list[str] = []
-    found = up_to_use(evidence, up, notes, WorldTuning())
-    assert (found is up) == used and ("not used" in notes[0]) == (not used)
+    found, note = up_to_use(evidence, up, WorldTuning())
+    assert (found is up) == used and ("not used" in note) == (not used)
 
 
 @pytest.mark.parametrize(("stated_m", "held"), [(2.0, True), (0.05, False)])
@@ -204,13 +188,10 @@ def test_passes_that_errors_turn_over_each_other_are_held_upright_where_these_ma
     turned = np.outer(back, [0, 3 * (np.cos(lean) - 1), 3 * np.sin(lean)])
     evidence = evidence_of(place, place + noise + turned, stated_m)
     rows = stated(40, stated_m, np.nan, time_s=np.arange(40.0) + 300 * back)
-    up, notes = Up(np.array([0.0, 0, 1]), 3.0, ring=True, tilt=True, cameras="the ring"), []
-    alone, upright = (
-        by_errors(evidence, u, fit_similarity(evidence, u, tuning.fit), rows, tuning.fit, tuning.noise)
-        for u in (None, up)
-    )
-    found = up_to_use(evidence, up, notes, tuning, replace(alone, error=_known(alone, 3.0)), upright)
-    assert (found is up) == held and ("is used" in notes[0]) == held
+    up = Up(np.array([0.0, 0, 1]), 3.0, ring=True, tilt=True, cameras="the ring")
+    alone, upright = (by_errors(evidence, u, fit_similarity(evidence, u, tuning.fit), rows, tuning) for u in (None, up))
+    found, note = up_to_use(evidence, up, tuning, replace(alone, error=_known(alone, 3.0)), upright)
+    assert (found is up) == held and ("is used" in note) == held
     assert held == (np.degrees(np.arccos((upright.similarity.rotation @ up.direction)[2])) < 6 and found is up)
 
 
@@ -224,7 +205,7 @@ def test_where_no_position_is_believed_the_control_points_alone_tell() -> None:
     place = np.random.default_rng(4).uniform(-20, 20, (12, 3))
     evidence = evidence_of(place, place, 0.1, frame=np.where(np.arange(12) < 6, np.arange(12), -1))
     fit = replace(fit_similarity(evidence, None, WorldTuning().fit), inlier=np.arange(12) >= 6)
-    found = by_errors(evidence, None, fit, stated(6, 0.1, 0.1), WorldTuning().fit, NoiseTuning())
+    found = by_errors(evidence, None, fit, stated(6, 0.1, 0.1), WorldTuning())
     assert found.levels == [] and np.abs(found.similarity(place) - place).max() < 1e-6
     assert found.sigma["position_m"] == pytest.approx(0.1 * np.sqrt(2 / 6), rel=0.3)
 
@@ -242,9 +223,9 @@ def test_what_the_model_bends_is_no_error_of_the_positions() -> None:
     for _ in range(8):
         place = true - bend @ rng.standard_normal(6)
         noise = 0.02 * (0.7 * rng.standard_normal((count, 3)) + 0.5 * rng.standard_normal(3))
-        evidence = evidence_of(place, true + noise, 0.02, bend=Bend.of(bend)).where(known)
+        evidence = evidence_of(place, true + noise, 0.02, modes=bend).where(known)
         rough = fit_similarity(replace(evidence, sigma=np.full((len(known), 3), 0.5)), None, WorldTuning().fit)
-        fit = by_errors(evidence, None, rough, rows, WorldTuning().fit, NoiseTuning())
+        fit = by_errors(evidence, None, rough, rows, WorldTuning())
         off = fit.similarity.matrix[:3, 3]
         ratios.append(np.append(off, np.log(fit.similarity.scale)) / np.sqrt(np.diag(fit.error.covariance)[3:7]))
         left.append(np.sqrt(np.diag(fit.bent[1])))

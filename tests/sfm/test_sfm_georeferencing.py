@@ -28,11 +28,10 @@ from tiegraph.sfm.motion import let_go
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import georeferencing
-from tiegraph.sfm.world.fixes import Measurements, PositionRows, make_fixes
+from tiegraph.sfm.world.fixes import Measured, Measurements, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.georeferencing import ConstantParameters, georeference_model
-from tiegraph.sfm.world.placed import Model, NotPlaced, SimilarityFit
-from tiegraph.sfm.world.similarityfit import fit_to_world
+from tiegraph.sfm.world.similarityfit import NotPlaced, SimilarityFit, fit_to_world
 
 TUNING = Tuning()
 WORLD = TUNING.world
@@ -86,11 +85,12 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     found, after = georeference_model(elsewhere(truth), survey, GeorefSettings(adjust="yes"), TUNING)
     assert not plain.adjusted and found.adjusted
     assert 0.002 < world.error_m(after) < min(0.04, 1.2 * world.error_m(before) + 0.01)
-    np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.03)
+    np.testing.assert_allclose(found.antenna_m, arm, atol=0.03)
     assert any("held-out positions differ by" in n for n in found.findings.notes)
-    held, without = found.residuals.held, plain.residuals.held
-    assert 3 <= len(held.residual_m) == len(without.residual_m) and not np.allclose(held.residual_m, without.residual_m)
-    assert 0.2 < np.sqrt(np.mean((held.residual_m / held.sigma_m) ** 2)) < 2, "they are stated as well as they are met"
+    held, without = found.residuals.held_m, plain.residuals.held_m
+    assert 3 <= len(held) == len(without) and not np.allclose(held, without)
+    over = held / found.residuals.held_sigma_m
+    assert 0.2 < np.sqrt(np.mean(over**2)) < 2, "they are stated as well as they are met"
 
 
 @pytest.mark.slow
@@ -166,8 +166,19 @@ def test_of_a_right_survey_chance_alone_never_says_a_mirror_image(world) -> None
         assert found.placed and not any("mirror image" in c for c in found.findings.contradictions)
 
 
-def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
-    """Passes there and back, 2.5 m apart, straight: model (the world itself), scene, positions."""
+def _fitted(
+    poses: np.ndarray, scene: Scene, given: Measurements | None = None, up: Up | None = None, tuning=WORLD
+) -> SimilarityFit | NotPlaced:
+    """The fit of frames (F, 4, 4) to the world."""
+    given = given or Measurements()
+    return fit_to_world(Measured(transforms.invert(poses), up, scene, GeorefSettings(), given, tuning))
+
+
+RING = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, True, "the ring of side cameras")
+
+
+def _straight(passes: int) -> tuple[np.ndarray, Scene, np.ndarray]:
+    """Passes there and back, 2.5 m apart, straight: poses, scene, positions."""
     along = np.linspace(0, 48, 25)
     rows = [(x, 0.0, 1.0) for x in along] + [(x, 2.5, -1.0) for x in along[::-1]]
     rows = np.array(rows[: 25 * passes])
@@ -176,19 +187,17 @@ def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
         count, sequences=("up", "down")[:passes], sequence=np.arange(count) // 25, time_s=2.0 * np.arange(count)
     )
     place = poses[:, :3, 3] + 0.02 * np.random.default_rng(0).standard_normal((count, 3))
-    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, True, "the ring of side cameras")
-    return Model(transforms.invert(poses), up, None, [], scene.names), scene, place
+    return poses, scene, place
 
 
 @pytest.mark.slow
 def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> None:
-    model, scene, place_m = _straight(2)
+    poses, scene, place_m = _straight(2)
     right, turned = (with_positions(scene, p, 0.02) for p in (place_m, place_m[:, [1, 0, 2]]))
-    found = [fit_to_world(model, s, GeorefSettings(), Measurements(), WORLD) for s in (right, turned)]
+    found = [_fitted(poses, s, up=RING) for s in (right, turned)]
     assert isinstance(found[0], SimilarityFit)
     assert isinstance(found[1], NotPlaced) and found[1].contradicts and "upside down" in found[1].why
-    thin = Measurements(firm_frames=20)
-    assert isinstance(fit_to_world(model, turned, GeorefSettings(), thin, WORLD), SimilarityFit)
+    assert isinstance(_fitted(poses, turned, Measurements(firm_frames=20), RING), SimilarityFit)
 
 
 def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() -> None:
@@ -201,11 +210,10 @@ def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() 
     scene = lone_scene(32)
 
     def doubt(model_m: np.ndarray, axes: np.ndarray, position_m: np.ndarray, firm: float = 32) -> str:
-        model = Model(transforms.invert(transforms.rigid(axes, model_m)), None, None, [], scene.names)
         noisy = with_positions(scene, position_m + 0.2 * np.random.default_rng(1).standard_normal((32, 3)), 0.3)
-        found = fit_to_world(model, noisy, GeorefSettings(), Measurements(firm_frames=firm), WORLD)
+        found = _fitted(transforms.rigid(axes, model_m), noisy, Measurements(firm_frames=firm))
         assert isinstance(found, SimilarityFit)
-        return found.weighed.doubt
+        return found.doubt
 
     swapped = [1, 0, 2]
     assert doubt(place, turns, place) == ""
@@ -219,9 +227,8 @@ def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() 
 
 @pytest.mark.slow
 def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
-    model, scene, place_m = _straight(1)
-    turned = with_positions(scene, place_m[:, [1, 0, 2]], 0.02)
-    found = fit_to_world(model, turned, GeorefSettings(), Measurements(), WORLD)
+    poses, scene, place_m = _straight(1)
+    found = _fitted(poses, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), up=RING)
     assert isinstance(found, SimilarityFit) and any("cannot be detected" in n for n in found.notes)
 
 
@@ -244,11 +251,10 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     wide = fixes.widened(_path(frames), 1.0, WORLD.fixes)
     off = np.linalg.norm(moved[:, :3, 3] - poses[at, :3, 3], axis=1)
     assert np.all(off < 3 * wide.sigma[:, 0]) and np.median(wide.sigma) < 0.05
-    model = Model(transforms.invert(_path(frames)), None, None, [])
-    placing = fit_to_world(model, scene, GeorefSettings(), Measurements(rows), FINE)
+    placing = _fitted(_path(frames), scene, Measurements(rows), tuning=FINE)
     assert isinstance(placing, SimilarityFit)
-    np.testing.assert_allclose(placing.fit.arm.place[[0, 2]], arm[[0, 2]], atol=0.08)
-    assert placing.fit.clock.offset_s == pytest.approx(clock, abs=0.03)
+    np.testing.assert_allclose(placing.fit.antenna[[0, 2]], arm[[0, 2]], atol=0.08)
+    assert placing.fit.offset_s == pytest.approx(clock, abs=0.03)
     assert any("clock is +0.1" in n for n in placing.notes) and any("lever arm estimated" in n for n in placing.notes)
     gap = (fine > 20) & (fine < 30)
     few = PositionRows(*(v[~gap] for v in (rows.time_s, rows.position_m, rows.sigma_m)))

@@ -44,7 +44,7 @@ from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma
-from tiegraph.sfm.systematic.lenses import AssumedErrors
+from tiegraph.sfm.systematic import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 PLAN = "plan.json"

@@ -30,9 +30,16 @@ from tiegraph.sfm.adjustment.jacobians import Layout, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import by_blocks, point_inverse
 from tiegraph.sfm.motion import Motion
-from tiegraph.sfm.systematic.effects import Effect, EffectWeights
-from tiegraph.sfm.systematic.lenses import AssumedErrors, LensError, lens_errors
-from tiegraph.sfm.systematic.mountings import misplaced, unrest, untimed
+from tiegraph.sfm.systematic import (
+    AssumedErrors,
+    Effect,
+    EffectWeights,
+    LensError,
+    lens_errors,
+    misplaced,
+    unrest,
+    untimed,
+)
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
 _SEED = 0

@@ -44,7 +44,7 @@ from tiegraph.sfm.rig.priortest import times_open
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.systematic.mountings import of_time
+from tiegraph.sfm.systematic import of_time
 from tiegraph.sfm.tuning import ShutterTuning, SigmaTuning, Tuning
 from tiegraph.text import known_to, some
 

@@ -11,6 +11,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjustment.jacobians import frame_pose
 from tiegraph.sfm.covariance import PositionSigma
 
 SHAPE = "shape.npz"  # of the largest model, in the folder of models
@@ -48,31 +49,26 @@ class Shape:
         covariance = sigma.covering(steps).covariance
         if sigma.covariance is None or covariance is None:
             return None
-        number = {name: k for k, name in enumerate(scene.names)}
         frames = [model.frame(k) for k in sigma.frame_ids]
-        first = [min(number[model.image(d.id).name] for d in f.image_ids if model.exists_image(d.id)) for f in frames]
+        named = [[model.image(d.id).name for d in f.image_ids if model.exists_image(d.id)] for f in frames]
+        first = [min(scene.image_index[n] for n in own) for own in named]
         rows = np.lexsort((scene.sensor[first], scene.frame[first]))
         rows = rows[np.unique(scene.frame[first][rows], return_index=True)[1]]  # the first of cameras with own times
         at = (3 * rows[:, None] + np.arange(3)).ravel()
-        place = np.array([_centre(frames[k]) for k in rows])
-        if not rms_length(np.sqrt(np.clip(np.diag(sigma.covariance)[at], 0, None)).reshape(-1, 3)) < rms_length(
-            place - place.mean(axis=0)
-        ):
+        place = np.array([frame_pose(frames[k]).inverse().translation for k in rows])
+        own_m = rms_length(np.sqrt(np.clip(np.diag(sigma.covariance)[at], 0, None)).reshape(-1, 3))
+        if not own_m < rms_length(place - place.mean(axis=0)):
             return None
-        shape = Shape._of(scene.frame[first][rows], place, covariance[np.ix_(at, at)])
+        values, vectors = np.linalg.eigh(covariance[np.ix_(at, at)])
+        values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
+        count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
+        modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
+        rest = np.clip(np.diag(covariance)[at].reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
+        shape = Shape(index=scene.frame[first][rows], place=place, modes=modes, rest=rest)
         if sigma.turns is None:
             return shape
         usual = np.argsort(np.trace(sigma.turns, axis1=1, axis2=2))[len(sigma.turns) // 2]
         return replace(shape, turn=sigma.turns[usual])
-
-    @staticmethod
-    def _of(index: np.ndarray, place: np.ndarray, covariance: np.ndarray) -> Shape:
-        values, vectors = np.linalg.eigh(covariance)
-        values, vectors = np.clip(values[::-1], 0, None), vectors[:, ::-1]
-        count = min(_MODES, int(np.searchsorted(np.cumsum(values), _EXPLAINED * values.sum())) + 1)
-        modes = (vectors[:, :count] * np.sqrt(values[:count])).T.reshape(count, -1, 3)
-        rest = np.clip(np.diag(covariance).reshape(-1, 3) - np.sum(modes**2, axis=0), 0, None)
-        return Shape(index=index, place=place, modes=modes, rest=rest)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -131,9 +127,3 @@ class Shape:
             for of in (step == k for k in np.unique(step))
             if of.sum() >= min_pairs
         ]
-
-
-def _centre(frame: pycolmap.Frame) -> np.ndarray:
-    """(3,) position of a frame in the world."""
-    pose = frame.rig_from_world
-    return np.full(3, np.nan) if pose is None else np.asarray(pose.inverse().translation, float)

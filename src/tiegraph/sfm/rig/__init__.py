@@ -19,6 +19,6 @@ their own of the same rig. Lenses calibrated without distortion get distortion i
 better; otherwise times and mounting would absorb it.
 
 **Loose cameras** (``diagnostics``). The movement of each camera relative to the rig from shot to shot is a variance
-component of its images' scores (``systematic.mountings``). A camera that moves visibly, or lost its observations in
+component of its images' scores (``systematic``). A camera that moves visibly, or lost its observations in
 the adjustment, is released from the rig: its images are separate frames, unless fewer images would then have a place.
 """

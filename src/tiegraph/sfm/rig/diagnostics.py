@@ -20,7 +20,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.jacobians import Layout
 from tiegraph.sfm.covariance import Linearised
 from tiegraph.sfm.rig.priortest import PriorTest
-from tiegraph.sfm.systematic.mountings import Stray, strays_of
+from tiegraph.sfm.systematic import Stray, strays_of
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import CameraMatchesTuning, DiagnosticsTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, rays_meet

@@ -40,7 +40,8 @@ class NoiseTuning(Section):
     max_factor: float = Field(30.0, ge=1)
     """Largest factor on a stated sigma."""
     min_rows: int = Field(6, gt=1)
-    """Positions of a level that are needed to estimate its factor; with times, to estimate their correlation."""
+    """Positions of a level that are needed to estimate its factor; with times, to estimate their correlation; and
+    positions that are needed to say that the others contradict the model."""
     max_correlation: float = Field(0.9, ge=0, lt=1)
     """Largest correlation of neighbours in time that is used."""
     slow_s: float = Field(60.0, gt=0)
@@ -118,7 +119,7 @@ class FitTuning(Section):
 
 
 class SourceTuning(Section):
-    """Statements of each source of a georeference by itself (`sources.py`, `weighing.py`)."""
+    """Statements of each source of a georeference by itself (`weighing.py`)."""
 
     told_deg: float = Field(20.0, gt=0)
     """Largest sigma of a rotation that is stated."""
@@ -133,16 +134,15 @@ class SourceTuning(Section):
 
 
 class SimilarityFitTuning(Section):
-    """Selection of evidence, and whether it determines lever arm and clock (`similarityfit.py`)."""
+    """Selection of evidence, and whether it determines the vertical (`similarityfit.py`, `upright.py`)."""
 
     min_positions: int = Field(3, ge=3)
-    """Positions and control points that are needed to place a model."""
+    """Positions and control points that are needed to place a model, by all or by a source alone, and held-out ones
+    that are needed to check it."""
     rounds: int = Field(2, gt=0)
     """Rounds of placing: the second has the true scale for frames known through another camera than the first."""
     noise_rounds: int = Field(3, ge=0)
     """Rounds in which sigmas follow the residuals."""
-    roll_limit_deg: float = Field(10.0, gt=0)
-    """Sigma of the roll about the track above which the upward direction of single cameras is used."""
     tilt_share: float = Field(0.5, gt=0)
     """Share of the sigma of a ring's upward direction: above it, as a sigma of the tilt, that direction is used."""
     many_points: int = Field(8, gt=0)
@@ -163,8 +163,6 @@ class StatementTuning(Section):
     """Factor on the stated sigma from which the scatter is reported."""
     agreeing: float = Field(0.7, ge=0, le=1)
     """Share of the positions that agree with the model, below which they contradict each other."""
-    least_positions: int = Field(6, gt=0)
-    """Positions that are needed for that."""
     rig_tells: float = Field(0.5, gt=0)
     """Ratio of the scale's sigma to that of the positions alone, below which the rig's baselines are named as its
     source."""
@@ -183,8 +181,6 @@ class AdjustmentTuning(Section):
     """Largest ratio of the held-out residual of the adjustment to that of the similarity."""
     clip_sigmas: float = Field(5.0, gt=0)
     """Limit on the residual of a held-out outlier."""
-    min_held: int = Field(3, gt=0)
-    """Held-out positions that are needed for their check."""
 
 
 class WorldTuning(Section):

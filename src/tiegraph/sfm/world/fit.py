@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -12,67 +13,70 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry.align import PlacementError, Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_upright, upright_by_upward
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
-from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning
-from tiegraph.sfm.world.positionerrors import Linear, PositionErrors, Stated
-from tiegraph.sfm.world.unknowns import Bend, Clock, FittedArm, LeverArm, LogScale
+from tiegraph.sfm.tuning.world import FitTuning, WorldTuning
+from tiegraph.sfm.world.positionerrors import PositionErrors, Stated
 
-_OPEN = 1e-6  # squared sine between an unknown and the residuals' directions, above which it is undetermined
+ANTENNA, CLOCK = "antenna", "clock"
+_COLUMNS = ("frame", "pose", "speed", "position", "sigma", "orientation", "modes")
 _STEPS = 3  # of linearising about the errors of the positions
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """K places known in the model and in the world: model poses (K, 4, 4), positions (K, 3) and sigmas (K, 3).
+    """K places known in the model and in the world.
 
     A pose may be a weighted sum of frames' poses. That of a control point has no rotation (zeros), so that it has no
-    lever arm. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
-    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig does not determine the scale.
+    lever arm.
     """
 
-    frame: np.ndarray
-    pose: np.ndarray
-    position: np.ndarray
-    sigma: np.ndarray
-    orientation: np.ndarray
-    arm: LeverArm
-    log_scale: LogScale | None
-    speed: np.ndarray | None = None
-    estimate_offset: bool = False
-    bend: Bend | None = None
+    frame: np.ndarray  # (K,) -1 = control point
+    pose: np.ndarray  # (K, 4, 4) in the model
+    speed: np.ndarray  # (K, 4, 4) derivative of the pose by time
+    position: np.ndarray  # (K, 3) metres
+    sigma: np.ndarray  # (K, 3) metres
+    orientation: np.ndarray  # (K, 3, 3) world_from_rig; NaN = unknown
+    modes: np.ndarray  # (K, 3, M) movement by each mode of the model's shape, model units
+    antenna: np.ndarray  # (3,) in the rig frame, metres, as given
+    free: frozenset[str] = frozenset()  # unknowns beside the similarity: ANTENNA, CLOCK
+    log_scale: tuple[float, float] | None = None  # logarithm of the metres per model unit by known lengths, its sigma
 
-    def without_orientations(self) -> Evidence:
-        """The same without orientations."""
-        return replace(self, orientation=np.full_like(self.orientation, np.nan))
-
-    def with_arm(self, estimate: bool) -> Evidence:
-        """The same with the lever arm as an unknown or not."""
-        return replace(self, arm=replace(self.arm, estimate=estimate))
+    @property
+    def oriented(self) -> np.ndarray:
+        """(K,) bool: the orientation is known."""
+        return np.asarray(np.isfinite(self.orientation).all(axis=(1, 2)))
 
     def where(self, mask: np.ndarray) -> Evidence:
         """The rows of a mask (K,)."""
-        columns = ("frame", "pose", "position", "sigma", "orientation", "speed")
-        out = replace(self, **{n: getattr(self, n)[mask] for n in columns if getattr(self, n) is not None})
-        return out if out.bend is None else replace(out, bend=replace(out.bend, modes=out.bend.modes[mask]))
+        return replace(self, **{n: getattr(self, n)[mask] for n in _COLUMNS})
 
-    def position_residuals(self, similarity: Similarity, antenna: np.ndarray, offset_s: float = 0.0) -> np.ndarray:
+    def joined(self, other: Evidence) -> Evidence:
+        """The same with the rows of another one below."""
+        return replace(self, **{n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in _COLUMNS})
+
+    def alone(self, mask: np.ndarray, free: frozenset[str]) -> Evidence:
+        """The positions of a mask (K,) without orientations."""
+        own = self.where(mask)
+        return replace(own, orientation=np.full_like(own.orientation, np.nan), free=free)
+
+    def position_residuals(self, similarity: Similarity, antenna: np.ndarray, offset_s: float) -> np.ndarray:
         """(K, 3) metres: antenna by the model minus the prior position, X + R l - p (ALGORITHMS section 4)."""
-        pose = self.pose if self.speed is None or not offset_s else self.pose + offset_s * self.speed
+        pose = self.pose + offset_s * self.speed if offset_s else self.pose
         lever = pose[:, :3, :3] @ antenna @ similarity.rotation.T
         return similarity(pose[:, :3, 3]) + lever - self.position
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The similarity, which positions agree with it, and its uncertainty."""
+    """The similarity, the positions that agree with it, and its uncertainty."""
 
     similarity: Similarity
-    arm: FittedArm
-    clock: Clock  # of offset 0 where it is not estimated
-    inlier: np.ndarray
-    cost: float  # robust, in squared sigmas
+    antenna: np.ndarray  # (3,) in the rig frame, metres
+    antenna_covariance: np.ndarray  # (3, 3); NaN = not estimated
+    offset_s: float  # of the receiver's clock behind the cameras'; 0 = not estimated
+    offset_sigma_s: float  # NaN = not estimated
+    inlier: np.ndarray  # (K,)
     roll_sigma_deg: float  # about the direction in which the positions spread most
-    sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     error: PlacementError  # about the centroid of the positions
     levels: Sequence[tuple[float, float, int]] = ()  # sizes of the errors of the positions (``positionerrors``)
     bent: tuple[np.ndarray, np.ndarray] | None = None  # modes of the shape from images and positions: (M,), (M, M)
@@ -81,6 +85,10 @@ class Fit:
     def sigma(self) -> dict[str, float]:
         """position_m, height_m, yaw_deg, tilt_deg, scale."""
         return self.error.sigmas()
+
+    def residuals(self, evidence: Evidence) -> np.ndarray:
+        """(K, 3) metres."""
+        return evidence.position_residuals(self.similarity, self.antenna, self.offset_s)
 
 
 def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: Similarity | None = None) -> Fit:
@@ -92,8 +100,8 @@ def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: S
     if near is not None:
         return _refine(evidence, up, near, tuning)[1]
     spread = evidence.pose[:, :3, 3]
-    reach = np.linalg.norm(evidence.arm.place)
-    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (tuning.antenna_sigma_m if evidence.arm.estimate else 0)
+    reach = np.linalg.norm(evidence.antenna)
+    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (tuning.antenna_sigma_m if ANTENNA in evidence.free else 0)
     start = robust_umeyama(spread, evidence.position, loose)[0]
     starts = [start]
     points = evidence.frame < 0
@@ -101,10 +109,9 @@ def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: S
         starts.append(umeyama(spread[points], evidence.position[points], 1 / evidence.sigma[points, 0] ** 2))
     if up is not None:
         starts += [_turned(start, evidence, up, angle) for angle in (0.0, np.pi)]
-    if np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
+    if evidence.oriented.any():
         starts.append(_by_orientation(evidence, start.scale))
-    fits = [_refine(evidence, up, s, tuning) for s in starts]
-    return min(fits, key=lambda f: f[0])[1]
+    return min((_refine(evidence, up, s, tuning) for s in starts), key=lambda found: found[0])[1]
 
 
 def _turned(start: Similarity, evidence: Evidence, up: Up, extra: float) -> Similarity:
@@ -124,7 +131,7 @@ def leaning_deg(evidence: Evidence, similarity: Similarity, up: Up) -> float:
 
 
 def _by_orientation(evidence: Evidence, scale: float) -> Similarity:
-    known = np.isfinite(evidence.orientation).all(axis=(1, 2))
+    known = evidence.oriented
     turns = evidence.orientation[known] @ np.swapaxes(evidence.pose[known, :3, :3], 1, 2)
     rotation = Rotation.from_matrix(turns).mean().as_matrix()
     offset = np.median(evidence.position - scale * evidence.pose[:, :3, 3] @ rotation.T, axis=0)
@@ -138,55 +145,57 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
     return np.linalg.svd(world - middle, full_matrices=False)[2][0], middle
 
 
-def by_errors(evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: FitTuning, noise: NoiseTuning) -> Fit:
+def by_errors(
+    evidence: Evidence, up: Up | None, fit: Fit, rows: Stated, tuning: WorldTuning, done: np.ndarray | None = None
+) -> Fit:
     """The fit after its inlier positions were adjusted with their estimated errors (white, slow and common:
     ``positionerrors``) and the possible bend of the model, with the resulting covariance.
 
     This is the one block: the modes of the shape represent the images; their coefficients have the prior 0 with sigma
-    1."""
-    stated, seen = rows.common, fit.inlier[: len(rows.level)]
-    fit = replace(fit, arm=FittedArm(evidence.arm.place, fit.arm.covariance), clock=Clock(0.0, fit.clock.sigma_s))
-    believed = dict.fromkeys((7, 8, 9), tuning.antenna_sigma_m) if evidence.arm.estimate else {}
-    believed |= {7 + len(believed): tuning.offset_sigma_s} if evidence.estimate_offset else {}
-    modes = 0 if evidence.bend is None else len(evidence.bend.done)
-    sizes = None
+    1. ``done`` (M,): coefficients by which the model was bent already.
+    """
+    stated, seen, modes = rows.common, fit.inlier[: len(rows.level)], evidence.modes.shape[2]
+    done = np.zeros(modes) if done is None else done
+    fit, sizes = replace(fit, antenna=evidence.antenna, offset_s=0.0), None
+    believed = dict.fromkeys((7, 8, 9), tuning.fit.antenna_sigma_m) if ANTENNA in evidence.free else {}
+    believed |= {7 + len(believed): tuning.fit.offset_sigma_s} if CLOCK in evidence.free else {}
     for _ in range(_STEPS):
-        problem = _Problem(evidence, up, fit.similarity, tuning)
+        problem = _Problem(evidence, up, fit.similarity, tuning.fit)
         x = problem.at(fit)
-        errors = PositionErrors(_linearised(problem, x, fit.inlier, rows, seen), noise, sizes)
+        places, known = _linearised(problem, x, fit.inlier, rows, done)
+        errors = PositionErrors(places[seen], rows.where(seen), known, tuning.noise, sizes)
         sizes = errors.sizes
         moved, covariance = errors.step(believed)
         rows = replace(rows, common=stated * max(1.0, errors.times_stated))  # receivers are optimistic in every part
-        size, held = problem.size, 0.0 if evidence.log_scale is None else evidence.log_scale.sigma**-2
-        alone = 1 / max(1 / covariance[6, 6] - held, _OPEN)
-        fit = _fit(problem, x + moved[:size], covariance[:size, :size], alone, fit.inlier, fit.cost)
-        own = slice(size, size + modes)
+        size, own = problem.size, slice(problem.size, problem.size + modes)
+        fit = problem.fit(x + moved[:size], covariance[:size, :size], fit.inlier)
         fit = replace(fit, levels=errors.levels, bent=(moved[own], covariance[own, own]))
     return fit
 
 
-def _linearised(problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, seen: np.ndarray) -> Linear:
-    """The positions ``seen`` (K,), and everything else as normal equations; the unknowns of the problem, then the
-    modes of the shape, then the common error of the positions."""
-    sigma, count = problem.evidence.sigma, len(seen)
-    common = np.flatnonzero(np.isfinite(rows.common) & seen.any())
-    derivatives, off = problem.derivatives(x, inlier.astype(float)), problem.positions(x).ravel()
-    bend = (problem.bend(x) * (inlier[:, None] / sigma)[:, :, None]).reshape(len(off), -1)
-    beside = np.zeros((len(derivatives), bend.shape[1] + len(common) + 1))  # the unknowns that ``problem`` has not
-    beside[: len(off), : bend.shape[1]], beside[: len(off), -1] = bend, off
-    beside[len(off) :, -1] = problem.others(x)
-    every = np.hstack([derivatives, beside])
+def _linearised(
+    problem: _Problem, x: np.ndarray, inlier: np.ndarray, rows: Stated, done: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The positions as rows (K, 3, D + 1), metres, and everything else as normal equations (D + 1, D + 1); the unknowns
+    of the problem, then the modes of the shape, then the common error of the positions, then the residuals."""
+    sigma, count, size = problem.evidence.sigma, len(rows.level), problem.size
+    common = np.flatnonzero(np.isfinite(rows.common) & inlier[:count].any())
+    (off, by_unknowns), (others, others_by_unknowns) = problem.positions(x), problem.others(x)
+    weight = (inlier[:, None] / sigma)[:, :, None]
+    bend = (problem.bend(x) * weight).reshape(off.size, len(done))
+    every = np.zeros((off.size + len(others), size + len(done) + len(common) + 1))
+    every[: off.size, :size], every[off.size :, :size] = (by_unknowns * weight).reshape(-1, size), others_by_unknowns
+    every[: off.size, size : size + len(done)] = bend
+    every[: off.size, -1], every[off.size :, -1] = off.ravel(), others
     places = every[: 3 * count].reshape(count, 3, every.shape[1]) * sigma[:count, :, None]
     at = -1 - len(common) + np.arange(len(common))
     places[:, common, at] = 1.0
     known = every[3 * count :].T @ every[3 * count :]
-    known[range(problem.size, len(known) - 1), range(problem.size, len(known) - 1)] += 1.0  # of modes
+    known[range(size, len(known) - 1), range(size, len(known) - 1)] += 1.0  # of modes
     known[at, at] = rows.common[common] ** -2
-    if problem.evidence.bend is not None:
-        done = problem.evidence.bend.done
-        known[problem.size : problem.size + len(done), -1] = known[-1, problem.size : problem.size + len(done)] = done
-        known[-1, -1] += done @ done
-    return Linear(rows=places[seen], stated=rows.where(seen), known=known)
+    known[size : size + len(done), -1] = known[-1, size : size + len(done)] = done
+    known[-1, -1] += done @ done
+    return places, known
 
 
 class _Problem:
@@ -197,202 +206,150 @@ class _Problem:
         self.evidence, self.up, self.start, self.tuning = evidence, up, start, tuning
         self.middle = evidence.pose[:, :3, 3].mean(axis=0)
         self.axis = _track(evidence, start)[0]
-        known = np.isfinite(evidence.orientation).all(axis=(1, 2))
-        self.oriented = np.flatnonzero(known)
-        spread = np.sqrt(max(1.0, known.sum() / tuning.orientation_freedom))
+        self.oriented = np.flatnonzero(evidence.oriented)
+        spread = np.sqrt(max(1.0, len(self.oriented) / tuning.orientation_freedom))
         self.orientation_sigma = np.radians(tuning.orientation_sigma_deg) * spread
-        self._unpacked: tuple[bytes, tuple[Similarity, np.ndarray]] | None = None
+        self.arm, self.clock = ANTENNA in evidence.free, CLOCK in evidence.free
+        self.size = 7 + 3 * self.arm + self.clock
 
-    def unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
-        """The similarity and the antenna; cached for the next call, which is mostly about the same unknowns."""
-        key = x.tobytes()
-        if self._unpacked is None or self._unpacked[0] != key:
-            self._unpacked = key, self._unpack(x)
-        return self._unpacked[1]
-
-    def _unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
+    def unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray, float]:
+        """The similarity, the antenna and the clock offset."""
         rotation = Rotation.from_rotvec(x[:3]).as_matrix() @ self.start.rotation
         scale = self.start.scale * np.exp(np.clip(x[6], -_MAX_LOG_SCALE, _MAX_LOG_SCALE))
         middle_world = self.start(self.middle) + x[3:6]
-        antenna = self.evidence.arm.place + (x[7:10] if self.evidence.arm.estimate else 0.0)
-        return Similarity(float(scale), rotation, middle_world - scale * rotation @ self.middle), antenna
+        antenna = self.evidence.antenna + (x[7:10] if self.arm else 0.0)
+        shift = middle_world - scale * rotation @ self.middle
+        return Similarity(float(scale), rotation, shift), antenna, float(x[-1]) if self.clock else 0.0
 
     def at(self, fit: Fit) -> np.ndarray:
         """(D,) the unknowns of a fit that started from this problem."""
         x = np.zeros(self.size)
-        if self.evidence.arm.estimate:
-            x[7:10] = fit.arm.place - self.evidence.arm.place
-        if self.evidence.estimate_offset:
-            x[-1] = fit.clock.offset_s
+        if self.arm:
+            x[7:10] = fit.antenna - self.evidence.antenna
+        if self.clock:
+            x[-1] = fit.offset_s
         return x
 
-    @property
-    def size(self) -> int:
-        """Number of unknowns."""
-        return 7 + 3 * self.evidence.arm.estimate + self.evidence.estimate_offset
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """(K, 3) of the positions, in sigmas."""
+        return self.evidence.position_residuals(*self.unpack(x)) / self.evidence.sigma
 
-    def offset(self, x: np.ndarray) -> float:
-        """Seconds by which the receiver's clock is behind the cameras'."""
-        return float(x[-1]) if self.evidence.estimate_offset else 0.0
+    def positions(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``residuals``, and the derivatives (K, 3, D) of the antenna's places by the unknowns, metres."""
+        evidence, (similarity, antenna, offset) = self.evidence, self.unpack(x)
+        pose = evidence.pose + offset * evidence.speed if offset else evidence.pose
+        reach = similarity.scale * (pose[:, :3, 3] - self.middle) @ similarity.rotation.T
+        out = np.zeros((len(pose), 3, self.size))
+        out[:, :, :3] = (
+            -skew(reach + pose[:, :3, :3] @ antenna @ similarity.rotation.T) @ turn_by_vector(x[None, :3])[0]
+        )
+        out[:, :, 3:6] = np.eye(3)
+        out[:, :, 6] = self._free(x) * reach
+        if self.arm:
+            out[:, :, 7:10] = similarity.rotation @ pose[:, :3, :3]
+        if self.clock:
+            moved = similarity.scale * evidence.speed[:, :3, 3] + evidence.speed[:, :3, :3] @ antenna
+            out[:, :, -1] = moved @ similarity.rotation.T
+        return self.residuals(x), out
 
-    def positions(self, x: np.ndarray) -> np.ndarray:
-        similarity, antenna = self.unpack(x)
-        return self.evidence.position_residuals(similarity, antenna, self.offset(x)) / self.evidence.sigma
+    @staticmethod
+    def _free(x: np.ndarray) -> float:
+        """1, or 0 where the scale is held at its limit."""
+        return float(abs(x[6]) < _MAX_LOG_SCALE)
 
     def bend(self, x: np.ndarray) -> np.ndarray:
         """(K, 3, M) derivatives of the antenna's places by the modes of the model's shape, metres."""
-        similarity, bend = self.unpack(x)[0], self.evidence.bend
-        turn = similarity.scale * similarity.rotation
-        return np.zeros((len(self.evidence.pose), 3, 0)) if bend is None else np.einsum("ij,kjm->kim", turn, bend.modes)
+        similarity = self.unpack(x)[0]
+        return np.einsum("ij,kjm->kim", similarity.scale * similarity.rotation, self.evidence.modes)
 
-    def others(self, x: np.ndarray, with_scale: bool = True) -> np.ndarray:
-        similarity, _ = self.unpack(x)
-        parts = [1e-3 * x[:3]]  # keeps the system regular where a rotation is undetermined
-        if len(self.oriented):
-            parts.append(self._off(similarity).ravel() / self.orientation_sigma)
-        if self.up is not None:
-            upward = similarity.rotation @ self.up.direction
-            if self.up.tilt:
-                parts.append(to_upright(upward) / np.radians(self.up.sigma_deg))
-            else:
-                parts.append(np.array([roll_to_upright(upward, self.axis) / np.radians(self.up.sigma_deg)]))
-        if self.evidence.log_scale is not None and with_scale:
-            off = np.log(similarity.scale) - self.evidence.log_scale.value
-            parts.append(np.array([off / self.evidence.log_scale.sigma]))
-        if self.evidence.arm.estimate:
-            parts.append(x[7:10] / self.tuning.antenna_sigma_m)
-        if self.evidence.estimate_offset:
-            parts.append(x[-1:] / self.tuning.offset_sigma_s)
-        return np.concatenate(parts)
-
-    def _off(self, similarity: Similarity) -> np.ndarray:
-        """(O, 3) rotation vectors from the known orientations to those of the model, in the world."""
-        inverse = np.swapaxes(self.evidence.orientation[self.oriented], 1, 2)
-        turns = similarity.rotation @ self.evidence.pose[self.oriented, :3, :3] @ inverse
-        return np.asarray(Rotation.from_matrix(turns).as_rotvec())
-
-    def derivatives(self, x: np.ndarray, weight: np.ndarray, with_scale: bool = True) -> np.ndarray:
-        """(M, D) of ``positions``, weighted (K,), and of ``others`` by the unknowns; tested against differences."""
-        similarity, antenna = self.unpack(x)
+    def others(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(R,) residuals of everything else, in sigmas, and their derivatives (R, D)."""
+        similarity, up, unit = self.unpack(x)[0], self.up, np.eye(self.size)
         turn = turn_by_vector(x[None, :3])[0]
-        free = float(abs(x[6]) < _MAX_LOG_SCALE)  # the scale is held within that
-        places = (
-            self._by_unknowns(x, similarity, antenna, turn, free) * (weight[:, None] / self.evidence.sigma)[:, :, None]
-        )
-        others = self._others_by_unknowns(x, similarity, turn, free, with_scale)
-        return np.concatenate([places.reshape(-1, self.size), *others])
+        parts = [(1e-3 * x[:3], 1e-3 * unit[:3])]  # keeps the system regular where a rotation is undetermined
 
-    def _by_unknowns(
-        self, x: np.ndarray, similarity: Similarity, antenna: np.ndarray, turn: np.ndarray, free: float
-    ) -> np.ndarray:
-        """(K, 3, D) of the antenna's places, metres."""
-        evidence, offset = self.evidence, self.offset(x)
-        pose = evidence.pose if evidence.speed is None or not offset else evidence.pose + offset * evidence.speed
-        reach = similarity.scale * (pose[:, :3, 3] - self.middle) @ similarity.rotation.T
-        out = np.zeros((len(pose), 3, self.size))
-        out[:, :, :3] = -skew(reach + pose[:, :3, :3] @ antenna @ similarity.rotation.T) @ turn
-        out[:, :, 3:6] = np.eye(3)
-        out[:, :, 6] = free * reach
-        if evidence.arm.estimate:
-            out[:, :, 7:10] = similarity.rotation @ pose[:, :3, :3]
-        if evidence.estimate_offset and evidence.speed is not None:
-            moved = similarity.scale * evidence.speed[:, :3, 3] + evidence.speed[:, :3, :3] @ antenna
-            out[:, :, -1] = moved @ similarity.rotation.T
-        return out
-
-    def _others_by_unknowns(
-        self, x: np.ndarray, similarity: Similarity, turn: np.ndarray, free: float, with_scale: bool
-    ) -> list[np.ndarray]:
-        """Rows (., D) in the order of ``others``."""
-        evidence, unit = self.evidence, np.eye(self.size)
-        parts = [1e-3 * unit[:3]]
-
-        def turned(by_turn: np.ndarray) -> None:
-            parts.append(np.hstack([by_turn @ turn, np.zeros((len(by_turn), self.size - 3))]))
+        def turned(values: np.ndarray, by_turn: np.ndarray) -> None:
+            parts.append((values, np.hstack([by_turn @ turn, np.zeros((len(by_turn), self.size - 3))])))
 
         if len(self.oriented):
-            turned(vector_by_turn(self._off(similarity)).reshape(-1, 3) / self.orientation_sigma)
-        if self.up is not None:
-            upward = similarity.rotation @ self.up.direction
-            by_upward = upright_by_upward(upward) if self.up.tilt else roll_by_upward(upward, self.axis)[None]
-            turned(by_upward @ -skew(upward) / np.radians(self.up.sigma_deg))
-        if evidence.log_scale is not None and with_scale:
-            parts.append(free * unit[6:7] / evidence.log_scale.sigma)
-        if evidence.arm.estimate:
-            parts.append(unit[7:10] / self.tuning.antenna_sigma_m)
-        if evidence.estimate_offset:
-            parts.append(unit[-1:] / self.tuning.offset_sigma_s)
-        return parts
+            inverse = np.swapaxes(self.evidence.orientation[self.oriented], 1, 2)
+            turns = similarity.rotation @ self.evidence.pose[self.oriented, :3, :3] @ inverse
+            off = np.asarray(Rotation.from_matrix(turns).as_rotvec())
+            turned(off.ravel() / self.orientation_sigma, vector_by_turn(off).reshape(-1, 3) / self.orientation_sigma)
+        if up is not None:
+            upward, sigma = similarity.rotation @ up.direction, np.radians(up.sigma_deg)
+            if up.tilt:
+                off, by_upward = to_upright(upward), upright_by_upward(upward)
+            else:
+                off = np.array([roll_to_upright(upward, self.axis)])
+                by_upward = roll_by_upward(upward, self.axis)[None]
+            turned(off / sigma, by_upward @ -skew(upward) / sigma)
+        if self.evidence.log_scale is not None:
+            value, sigma = self.evidence.log_scale
+            parts.append((np.array([np.log(similarity.scale) - value]) / sigma, self._free(x) * unit[6:7] / sigma))
+        if self.arm:
+            parts.append((x[7:10] / self.tuning.antenna_sigma_m, unit[7:10] / self.tuning.antenna_sigma_m))
+        if self.clock:
+            parts.append((x[-1:] / self.tuning.offset_sigma_s, unit[-1:] / self.tuning.offset_sigma_s))
+        return np.concatenate([value for value, _ in parts]), np.concatenate([rows for _, rows in parts])
+
+    def solve(self, x: np.ndarray, weight: np.ndarray) -> scipy.optimize.OptimizeResult:
+        """Least squares from ``x``, with weights (K,) of the positions."""
+
+        @lru_cache(maxsize=1)  # the solver asks for the derivatives where it asked for the residuals last
+        def evaluated(key: bytes) -> tuple[np.ndarray, np.ndarray]:
+            y = np.array(np.frombuffer(key))
+            (off, places), (others, by_others) = self.positions(y), self.others(y)
+            places = places * (weight[:, None] / self.evidence.sigma)[:, :, None]
+            residuals = np.concatenate([(off * weight[:, None]).ravel(), others])
+            return residuals, np.concatenate([places.reshape(-1, self.size), by_others])
+
+        return scipy.optimize.least_squares(
+            lambda y: evaluated(y.tobytes())[0], x, lambda y: evaluated(y.tobytes())[1], x_scale="jac", method="trf"
+        )
+
+    def fit(self, x: np.ndarray, covariance: np.ndarray, inlier: np.ndarray) -> Fit:
+        """The fit at unknowns (D,) with this covariance."""
+        similarity, antenna, offset = self.unpack(x)
+        roll = self.axis @ covariance[:3, :3] @ self.axis
+        return Fit(
+            similarity=similarity,
+            antenna=antenna,
+            antenna_covariance=covariance[7:10, 7:10] if self.arm else np.full((3, 3), np.nan),
+            offset_s=offset,
+            offset_sigma_s=float(np.sqrt(max(covariance[-1, -1], 0.0))) if self.clock else float("nan"),
+            inlier=inlier,
+            roll_sigma_deg=float(np.degrees(np.sqrt(max(0.0, roll)))),
+            error=PlacementError(similarity(self.middle), covariance[:7, :7]),
+        )
 
 
 def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> tuple[float, Fit]:
+    """The robust cost, in squared sigmas, and the fit."""
     problem, sigmas = _Problem(evidence, up, start, tuning), tuning.inlier_sigmas
     x = np.zeros(problem.size)
+
+    def distance(y: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(problem.residuals(y), axis=1)
+
     for scale in tuning.cauchy_scales:  # Cauchy over the whole vector: an outlier in height is one in plan too
         for _ in range(tuning.rounds):
-            weight = 1 / np.sqrt(1 + (np.linalg.norm(problem.positions(x), axis=1) / (scale * sigmas)) ** 2)
-            before, x = x, _solve(problem, x, weight).x
+            weight = 1 / np.sqrt(1 + (distance(x) / (scale * sigmas)) ** 2)
+            before, x = x, problem.solve(x, weight).x
             if np.abs(x - before).max() < tuning.converged:
                 break
-    inlier = np.linalg.norm(problem.positions(x), axis=1) < sigmas * np.sqrt(3)
+    inlier = distance(x) < sigmas * np.sqrt(3)
     for _ in range(tuning.rounds):
         if inlier.sum() < 3:
             inlier[:] = True
-        x = _solve(problem, x, inlier.astype(float)).x
-        again = np.linalg.norm(problem.positions(x), axis=1) < sigmas * np.sqrt(3)
+        x = problem.solve(x, inlier.astype(float)).x
+        again = distance(x) < sigmas * np.sqrt(3)
         if np.array_equal(again, inlier):
             break
         inlier = again
-    solution = _solve(problem, x, inlier.astype(float))
-    distance = np.linalg.norm(problem.positions(solution.x), axis=1)
-    cost = float(np.sum(np.log1p((distance / sigmas) ** 2)) * sigmas**2 + 0.5 * np.sum(problem.others(x) ** 2))
-    return cost, _report(problem, solution, inlier, cost)
-
-
-def _solve(
-    problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: bool = True
-) -> scipy.optimize.OptimizeResult:
-    def residuals(y: np.ndarray) -> np.ndarray:
-        return np.concatenate([(problem.positions(y) * weight[:, None]).ravel(), problem.others(y, with_scale)])
-
-    def jacobian(y: np.ndarray) -> np.ndarray:
-        return problem.derivatives(y, weight, with_scale)
-
-    return scipy.optimize.least_squares(residuals, x, jacobian, x_scale="jac", method="trf")
-
-
-def _sigma(jacobian: np.ndarray, unknown: int) -> float:
-    """Sigma of one unknown from the derivatives (R, U) of residuals in sigmas; infinite if it is undetermined."""
-    _, size, directions = np.linalg.svd(jacobian, full_matrices=False)
-    told = size > np.finfo(float).eps * max(jacobian.shape) * size[0]
-    along = directions[told, unknown]
-    return float(np.linalg.norm(along / size[told])) if 1.0 - along @ along < _OPEN else float("inf")
-
-
-def _report(problem: _Problem, solution: scipy.optimize.OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
-    freedom = max(1, 3 * int(inlier.sum()) - len(solution.x))
-    chi2 = max(1.0, float(np.sum(problem.positions(solution.x)[inlier] ** 2)) / freedom)
+    solution = problem.solve(x, inlier.astype(float))
+    off, freedom = problem.residuals(solution.x), max(1, 3 * int(inlier.sum()) - problem.size)
+    chi2 = max(1.0, float(np.sum(off[inlier] ** 2)) / freedom)
     covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * chi2
-    alone = solution.jac
-    if problem.evidence.log_scale is not None:
-        alone = _solve(problem, solution.x, inlier.astype(float), with_scale=False).jac
-    return _fit(problem, solution.x, covariance, chi2 * _sigma(alone, 6) ** 2, inlier, cost)
-
-
-def _fit(
-    problem: _Problem, x: np.ndarray, covariance: np.ndarray, alone: float, inlier: np.ndarray, cost: float
-) -> Fit:
-    """The fit at unknowns (D,) with this covariance; ``alone``: variance of the log scale from the positions."""
-    similarity, antenna = problem.unpack(x)
-    sd = np.sqrt(np.clip(np.diag(covariance), 0, None))
-    arm, clock = problem.evidence.arm.estimate, problem.evidence.estimate_offset
-    return Fit(
-        similarity=similarity,
-        arm=FittedArm(antenna, covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan)),
-        clock=Clock(problem.offset(x), float(sd[-1]) if clock else float("nan")),
-        inlier=inlier,
-        cost=cost,
-        roll_sigma_deg=float(np.degrees(np.sqrt(max(0.0, problem.axis @ covariance[:3, :3] @ problem.axis)))),
-        sigma_positions_scale=float(np.sqrt(alone)),
-        error=PlacementError(similarity(problem.middle), covariance[:7, :7]),
-    )
+    lost = np.sum(np.log1p((np.linalg.norm(off, axis=1) / sigmas) ** 2)) * sigmas**2
+    return float(lost + 0.5 * np.sum(problem.others(x)[0] ** 2)), problem.fit(solution.x, covariance, inlier)

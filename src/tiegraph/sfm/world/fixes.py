@@ -1,16 +1,22 @@
-"""Measured positions of the antenna, each connected to the poses of the frames around its time."""
+"""What is measured of a model: positions of the antenna, each connected to the poses of the frames around its time,
+control points and known lengths."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from tiegraph.geometry.gravity import Up
 from tiegraph.scene.control import Control, ScaleBars
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import held_out_frames
+from tiegraph.sfm.model import frame_poses, held_out_frames
+from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.tuning.world import FixTuning
+from tiegraph.sfm.tuning.world import FixTuning, WorldTuning
+from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.scale import BarsFound, LengthScale
 
 NODES = 4  # frames that carry a position between frames: a cubic through them
 
@@ -37,39 +43,69 @@ class Measurements:
 
 
 @dataclass(frozen=True)
+class Measured:
+    """A model that is to be placed, with everything that is measured of it."""
+
+    images: np.ndarray  # cam_from_world (N, 4, 4)
+    up: Up | None
+    scene: Scene
+    settings: GeorefSettings
+    given: Measurements
+    tuning: WorldTuning
+    lengths: tuple[LengthScale, ...] = ()  # the first counts: scale bars where there are some, then the rig
+    targets: list[Target] = field(default_factory=list)  # the control points in the model
+    bars: BarsFound | None = None
+
+    @property
+    def metres_per_unit(self) -> float:
+        """The scale by known lengths, 1 without any."""
+        return self.lengths[0].metres_per_unit if self.lengths else 1.0
+
+    def frames(self, metres_per_unit: float) -> np.ndarray:
+        """world_from_rig (F, 4, 4), model units."""
+        return frame_poses(self.images, self.scene, metres_per_unit)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """(C,) rows of the control points that are used."""
+        control = self.given.control
+        usable = [] if control is None else [not t.why_not and not c for t, c in zip(self.targets, control.check)]
+        return np.flatnonzero(usable)
+
+    @cached_property
+    def modes(self) -> np.ndarray:
+        """(F, 3, M) movement of the frames by each mode of the model's shape, model units."""
+        shape, frames = self.given.shape, np.arange(self.scene.frames)
+        return np.zeros((len(frames), 3, 0)) if shape is None else shape.at(frames)
+
+    def time_order(self, fixes: Fixes) -> np.ndarray:
+        """The order of the fixes (K,) in time, or along the passes where there are no times."""
+        if np.isfinite(fixes.time_s).all():
+            return np.argsort(fixes.time_s, kind="stable")
+        return np.lexsort((self.scene.sequence_index[fixes.home], self.scene.sequence[fixes.home]))
+
+
+@dataclass(frozen=True)
 class Fixes:
-    """K positions. The antenna at a fix is the weighted sum of its places at up to four frames.
+    """K positions. The antenna at a fix is the weighted sum of its places at up to four frames."""
 
-    frames (K, 4) scene frames (repeated where fewer), weights and rates (K, 4): rates are the weights' derivatives by
-    time, 1/s; home (K,) the nearest frame; position (K, 3), sigma as used and as stated (K, 3) metres; level (K,) i4:
-    fixes of one level share one factor of their sigma; held (K,) bool held out for the check.
-    """
-
-    frames: np.ndarray
-    weights: np.ndarray
-    rates: np.ndarray
-    home: np.ndarray
-    time_s: np.ndarray
-    position: np.ndarray
-    sigma: np.ndarray
-    stated: np.ndarray
-    level: np.ndarray
-    held: np.ndarray
+    frames: np.ndarray  # (K, 4) scene frames (repeated where fewer)
+    weights: np.ndarray  # (K, 4)
+    rates: np.ndarray  # (K, 4) derivatives of the weights by time, 1/s
+    home: np.ndarray  # (K,) the nearest frame
+    time_s: np.ndarray  # (K,)
+    position: np.ndarray  # (K, 3) metres
+    sigma: np.ndarray  # (K, 3) metres, as used
+    stated: np.ndarray  # (K, 3) metres
+    level: np.ndarray  # (K,) i4: fixes of one level share one factor of their sigma
+    held: np.ndarray  # (K,) bool: held out for the check
 
     def __len__(self) -> int:
         return len(self.home)
 
-    def where(self, mask: np.ndarray) -> Fixes:
-        """The fixes of a mask (K,)."""
-        return Fixes(**{name: getattr(self, name)[mask] for name in Fixes.__dataclass_fields__})
-
     def blurred(self, extra_m: np.ndarray) -> Fixes:
         """The same with (3,) metres added to the sigmas, in quadrature."""
         return replace(self, sigma=np.hypot(self.sigma, extra_m)) if np.any(extra_m) else self
-
-    def stretched(self, factor: np.ndarray) -> Fixes:
-        """The same with sigmas multiplied by a factor (K,)."""
-        return replace(self, sigma=self.sigma * factor[:, None])
 
     def widened(self, poses: np.ndarray, metres_per_unit: float, tuning: FixTuning) -> Fixes:
         """The same with the error of interpolation, from frame poses (F, 4, 4), added to the sigmas.
@@ -103,34 +139,36 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, tuning
     rows, parts, left = given.rows, [], registered.copy()
     if rows is not None and tuning.rows_per_frame and np.isfinite(scene.time_s).any():
         for track in np.unique(scene.sequence[scene.sequence >= 0]):
-            part = _of_track(scene, registered, rows, int(track), tuning)
+            part = _of_track(scene, registered & (scene.sequence == track), rows, tuning)
             if part is not None:
                 parts.append(part)
                 left &= scene.sequence != track
-    fixes = _joined([*parts, _of_frames(scene, left)])  # nothing is interpolated between loose photographs
-    stated = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
-    level = np.round(tuning.levels_per_octave * np.log2(np.maximum(stated[:, 0], 1e-3))).astype(int)
-    sigma = np.maximum(stated, tuning.floor_m)
-    held = held_out_frames(scene, tuning)[fixes.home]
-    return replace(fixes, sigma=sigma, stated=stated, level=level, held=held)
-
-
-def _of_frames(scene: Scene, registered: np.ndarray) -> Fixes:
-    position = scene.world_from_rig[:, :3, 3]
-    use = np.flatnonzero(registered & np.isfinite(position).all(axis=1))
-    weights = np.zeros((len(use), NODES))
-    weights[:, 0] = 1.0
-    frames = np.repeat(use[:, None], NODES, axis=1)
-    return _fixes(
-        frames, weights, np.zeros_like(weights), scene.time_s[use], position[use], scene.position_sigma_m[use]
+    use = np.flatnonzero(left & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1))
+    one = np.eye(NODES)[np.zeros(len(use), int)]  # nothing is interpolated between loose photographs
+    place = scene.world_from_rig[use, :3, 3], scene.position_sigma_m[use]
+    parts.append((np.repeat(use[:, None], NODES, axis=1), one, 0 * one, scene.time_s[use], *place))
+    frames, weights, rates, time_s, position, sigma = (np.concatenate(column) for column in zip(*parts))
+    home = frames[np.arange(len(frames)), np.argmax(np.abs(weights), axis=1)]
+    stated = np.where(np.isfinite(sigma), sigma, tuning.unknown_sigma_m)
+    return Fixes(
+        frames=frames,
+        weights=weights,
+        rates=rates,
+        home=home,
+        time_s=time_s,
+        position=position,
+        sigma=np.maximum(stated, tuning.floor_m),
+        stated=stated,
+        level=np.round(tuning.levels_per_octave * np.log2(np.maximum(stated[:, 0], 1e-3))).astype(int),
+        held=held_out_frames(scene, tuning)[home],
     )
 
 
-def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: int, tuning: FixTuning) -> Fixes | None:
-    mine = np.flatnonzero((scene.sequence == track) & registered & np.isfinite(scene.time_s))
-    mine = mine[np.argsort(scene.time_s[mine], kind="stable")]
-    time = scene.time_s[mine]
-    mine, time = mine[np.concatenate([[True], np.diff(time) > 1e-6])] if len(mine) else mine, np.unique(time)
+def _of_track(scene: Scene, own: np.ndarray, rows: PositionRows, tuning: FixTuning) -> tuple[np.ndarray, ...] | None:
+    """The first columns of the fixes between the frames of a pass (F,) bool; None without any."""
+    mine = np.flatnonzero(own & np.isfinite(scene.time_s))
+    time, first = np.unique(scene.time_s[mine], return_index=True)
+    mine = mine[first]
     if len(mine) < 2:
         return None
     reach = tuning.max_step * float(np.median(np.diff(time)))
@@ -139,68 +177,31 @@ def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: i
     near = time[left + 1] - time[left] <= reach
     inside, left = inside[near], left[near]
     t = rows.time_s[inside]
-    at_frame = np.minimum(np.abs(t - time[left]), np.abs(t - time[left + 1])) < 1e-3
-    thin = _thinned(left, at_frame, tuning.rows_per_frame)
-    inside, left = inside[thin], left[thin]
-    if not len(inside):
-        return None
-    table = [_nodes(time, int(k), float(t), reach) for k, t in zip(left, rows.time_s[inside])]
-    frames = np.array([mine[n] for n, _, _ in table])
-    weights, rates = np.array([w for _, w, _ in table]), np.array([r for _, _, r in table])
-    return _fixes(frames, weights, rates, rows.time_s[inside], rows.position_m[inside], rows.sigma_m[inside])
-
-
-def _thinned(left: np.ndarray, at_frame: np.ndarray, most: int) -> np.ndarray:
-    """(R,) bool: rows at frames, and at most so many of each interval."""
-    keep = at_frame.copy()
+    keep = np.minimum(np.abs(t - time[left]), np.abs(t - time[left + 1])) < 1e-3  # all rows at frames
     for k in np.unique(left):
         of = np.flatnonzero(left == k)
-        keep[of[np.unique(np.linspace(0, len(of) - 1, min(most, len(of))).astype(int))]] = True
-    return keep
+        keep[of[np.unique(np.linspace(0, len(of) - 1, min(tuning.rows_per_frame, len(of))).astype(int))]] = True
+    inside, left, t = inside[keep], left[keep], t[keep]
+    if not len(inside):
+        return None
+    nodes, weights, rates = (np.array(v) for v in zip(*(_nodes(time, k, at, reach) for k, at in zip(left, t))))
+    return mine[nodes], weights, rates, t, rows.position_m[inside], rows.sigma_m[inside]
 
 
 def _nodes(time: np.ndarray, left: int, t: float, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Four frames as indices into ``time``, their Lagrange weights at t and the weights' derivatives."""
+    """Four frames as indices into ``time``, their weights in the interpolating polynomial at t (Lagrange), and the
+    weights' derivatives."""
     first, last = left, left + 1
     if left > 0 and time[left] - time[left - 1] <= reach:
         first -= 1
     if last + 1 < len(time) and time[last + 1] - time[last] <= reach:
         last += 1
-    at = np.arange(first, last + 1)
-    weights, rates = _lagrange(time[at], t)
-    fill = NODES - len(at)
-    return np.append(at, np.full(fill, at[-1])), np.append(weights, np.zeros(fill)), np.append(rates, np.zeros(fill))
-
-
-def _lagrange(nodes: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (n,) of the interpolating polynomial at t and their derivatives."""
-    count = len(nodes)
-    weights, rates = np.ones(count), np.zeros(count)
+    count = last + 1 - first
+    at = np.append(np.arange(first, last + 1), np.full(NODES - count, last))
+    weights, rates, off = np.zeros(NODES), np.zeros(NODES), t - time[at[:count]]
     for i in range(count):
         others = [j for j in range(count) if j != i]
-        scale = float(np.prod([nodes[i] - nodes[j] for j in others]))
-        weights[i] = np.prod([t - nodes[j] for j in others]) / scale
-        rates[i] = sum(np.prod([t - nodes[j] for j in others if j != k]) for k in others) / scale
-    return weights, rates
-
-
-def _fixes(frames: np.ndarray, weights: np.ndarray, rates: np.ndarray, *columns: np.ndarray) -> Fixes:
-    time, position, sigma = columns
-    home = frames[np.arange(len(frames)), np.argmax(np.abs(weights), axis=1)]
-    empty = np.zeros(len(frames))
-    return Fixes(
-        frames=frames,
-        weights=weights,
-        rates=rates,
-        home=home,
-        time_s=time,
-        position=position,
-        sigma=sigma,
-        stated=sigma,
-        level=empty.astype(int),
-        held=empty.astype(bool),
-    )
-
-
-def _joined(parts: list[Fixes]) -> Fixes:
-    return Fixes(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in Fixes.__dataclass_fields__})
+        scale = float(np.prod([time[at[i]] - time[at[j]] for j in others]))
+        weights[i] = np.prod(off[others]) / scale
+        rates[i] = sum(np.prod(off[[j for j in others if j != k]]) for k in others) / scale
+    return at, weights, rates

@@ -27,12 +27,12 @@ from tiegraph.sfm.ties import moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
-from tiegraph.sfm.world.bars import bars_in
 from tiegraph.sfm.world.fixes import Measurements
-from tiegraph.sfm.world.georef import Georeference, PointsFound, applied_receiver, bar_rows, georeference, residuals_of
-from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, marked, point_table, targets
+from tiegraph.sfm.world.georef import Georeference, PointsFound, georeference, residuals_of
+from tiegraph.sfm.world.marks import Target, as_copy, by_chance, copy_of, point_table, targets
 from tiegraph.sfm.world.oneworld import OneWorld, one_world
-from tiegraph.sfm.world.placed import SimilarityFit
+from tiegraph.sfm.world.scale import bars_in
+from tiegraph.sfm.world.similarityfit import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
 
 _REFUSED = "the similarity is kept, because the bundle adjustment with the positions failed: {}"
@@ -57,48 +57,47 @@ def georeference_model(
     given: Measurements | None = None,
     held: ConstantParameters | None = None,
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
-    """The georeference of a model with its statements (``statements.py``), and the model in the world; see
-    ``_georeferenced``."""
-    given, held = given or Measurements(), held or ConstantParameters()
-    found, world = _georeferenced(model, scene, settings, tuning, given, held)
-    points = _points(world, scene, given, tuning.world) if given.control is not None else []
-    return with_statements(found, scene, points), world
-
-
-def _georeferenced(
-    model: pycolmap.Reconstruction,
-    scene: Scene,
-    settings: GeorefSettings,
-    tuning: Tuning,
-    given: Measurements,
-    held: ConstantParameters,
-) -> tuple[Georeference, pycolmap.Reconstruction]:
-    """The georeference of a model and the model in the world.
+    """The georeference of a model with its statements (``statements.py``), and the model in the world.
 
     First similarity and shape in one block (``georeference``). Then, if the frames move at all, a bundle adjustment
     moves them to the result of the block. It is kept only if the held-out positions (every fifth) fit at least as
     well as with the similarity, and the images no worse. The notes give the decision and its reason.
     """
+    given, held = given or Measurements(), held or ConstantParameters()
     first = georeference(model, scene, settings, tuning.world, given)
     if first.placing is not None and given.shape is None and settings.adjust != "no":
         given = replace(given, shape=_shape(model, scene, held, tuning))
         first = georeference(model, scene, settings, tuning.world, given)
-    world, placing, shape = first.apply(model), first.placing, first.uncertainty.shape
-    if placing is None or settings.adjust == "no":
-        return first, world
+    found, world = first, first.apply(model)
+    if first.placing is not None and settings.adjust != "no":
+        found, world = _adjusted(first, first.placing, model, world, held, tuning)
+    return with_statements(found, _points(world, scene, given, tuning.world)), world
+
+
+def _adjusted(
+    first: Georeference,
+    placing: SimilarityFit,
+    model: pycolmap.Reconstruction,
+    world: pycolmap.Reconstruction,
+    held: ConstantParameters,
+    tuning: Tuning,
+) -> tuple[Georeference, pycolmap.Reconstruction]:
+    """The georeference and the model in the world after the bundle adjustment with the positions, or as they were."""
+    scene, given, shape = placing.measured.scene, placing.measured.given, first.uncertainty.shape
+    always, bounds = placing.measured.settings.adjust == "yes", tuning.world.adjustment
     if shape is None:
         why = f"the accuracy of its shape is unknown (few points, or more than {MOST_FRAMES} frames)"
-        return _with(first, _REFUSED.format(why)), world
+        return first.noted(_REFUSED.format(why)), world
     good, why, blind = _check(placing)
-    if not good and settings.adjust == "auto":
-        return _with(first, _REFUSED.format(why)), world
-    placed, bent = _bent(world, placing, shape, scene, given, (held, settings.adjust == "yes"), tuning)
+    if not good and not always:
+        return first.noted(_REFUSED.format(why)), world
+    placed, bent = _bent(world, placing, shape, held, tuning)
     before, after = (m.compute_mean_reprojection_error() for m in (world, bent))
     lost = bent.num_points3D() < world.num_points3D() / 2
-    if lost or (after > tuning.world.adjustment.worse_pixels * before and settings.adjust == "auto"):
+    if lost or (after > bounds.worse_pixels * before and not always):
         text = f"the images fit worse after it ({before:.3f} -> {after:.3f} px"
         text += f", {bent.num_points3D()} of {world.num_points3D()} points left)" if lost else ")"
-        return _with(first, _REFUSED.format(text)), world
+        return first.noted(_REFUSED.format(text)), world
     step = np.linalg.norm(_frames(bent, scene)[:, :3, 3] - _frames(world, scene)[:, :3, 3], axis=1)
     notes = ["the model keeps its shape from the images: positions and control points would hardly change it"]
     if placed is not placing:
@@ -112,30 +111,25 @@ def _georeferenced(
         first,
         uncertainty=replace(first.uncertainty, shape=shape.told(*placed.fit.bent)),
         world_from_model=similarity_to(model, bent, first.world_from_model),
-        residuals=residuals_of(placed, scene, blind),
-        receiver=applied_receiver(placed.fit.arm.place, placed.fit.clock.offset_s),
+        residuals=residuals_of(placed, blind),
+        fit=placed.fit,
         control=_control(first, bent, scene, given, tuning.world),
         adjusted=placed is not placing,
     )
-    return _with(adjusted, *notes), bent
+    return adjusted.noted(*notes), bent
 
 
 def _bent(
-    world: pycolmap.Reconstruction,
-    placing: SimilarityFit,
-    shape: Shape,
-    scene: Scene,
-    given: Measurements,
-    how: tuple[ConstantParameters, bool],
-    tuning: Tuning,
+    world: pycolmap.Reconstruction, placing: SimilarityFit, shape: Shape, held: ConstantParameters, tuning: Tuning
 ) -> tuple[SimilarityFit, pycolmap.Reconstruction]:
     """The fit to the model after it was bent to the shape that its images and all other evidence give together, and
-    that model in the world. ``how``: what is held, and whether to adjust even if that changes little.
+    that model in the world.
 
     The bend is linear in the unknowns, and control points are assumed to move with the frames that see them; hence
     the rounds.
     """
-    held, always = how
+    measured = placing.measured
+    scene, always = measured.scene, measured.settings.adjust == "yes"
     placed, bent, start = placing, world, _frames(world, scene)[:, :3, 3]
     least = tuning.world.adjustment.least_bend * rms_length(shape.sigma[:, None])
     for _ in range(tuning.world.adjustment.rounds):
@@ -145,9 +139,9 @@ def _bent(
             break
         bent = bent_by(bent, scene, (step, sigma), held, tuning)
         poses = _frames(bent, scene)
-        places = np.array([t.place for t in _points(bent, scene, given, tuning.world)] if len(placing.points) else [])
+        places = [t.place for t in _points(bent, scene, measured.given, tuning.world)]
         done = shape.coefficients(poses[:, :3, 3] - start)
-        placed = placing.of_bent(poses, places.reshape(-1, 3)[placing.points], done)
+        placed = placing.of_bent(poses, np.reshape(places, (-1, 3))[measured.points], done)
     if placed is not placing:
         bent = moved(bent, placed.fit.similarity)
     return placed, bent
@@ -213,23 +207,18 @@ def as_marked(
     bars = bars and replace(bars, marks=as_copy(bars.marks, scene, copy, tuning.marks))
     control = replace(control, marks=marks, notes=notes)
     chance = by_chance(targets(model, scene, marks, len(control), tuning.marks), tuning.marks)
-    if chance > CHANCE:
-        text = f"no control point is used: randomly placed marks would fit as well (probability {chance:.2g})"
-        return replace(given, control=None, bars=bars), (
-            f"{text}; are they pixels of other images, or were the images cropped?",
-        )
-    return replace(given, control=control, bars=bars), ()
-
-
-def _with(georeference: Georeference, *notes: str) -> Georeference:
-    findings = georeference.findings
-    return replace(georeference, findings=replace(findings, notes=(*findings.notes, *notes)))
+    if chance <= CHANCE:
+        return replace(given, control=control, bars=bars), ()
+    return replace(given, control=None, bars=bars), (
+        f"no control point is used: randomly placed marks would fit as well (probability {chance:.2g}); are they "
+        "pixels of other images, or were the images cropped?",
+    )
 
 
 def _points(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning) -> list[Target]:
     """The control points in a model."""
-    assert given.control is not None
-    return targets(model, scene, given.control.marks, len(given.control), tuning.marks)
+    control = given.control
+    return [] if control is None else targets(model, scene, control.marks, len(control), tuning.marks)
 
 
 def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
@@ -237,8 +226,8 @@ def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
     (K, 3) metres."""
     fixes, bounds = placing.fixes, placing.tuning.adjustment
     plain, bends = placing.held_out(bends=False), placing.held_out(bends=True)
-    if plain is None or bends is None or fixes.held.sum() < bounds.min_held:
-        if len(placing.points) and not len(fixes):
+    if plain is None or bends is None or fixes.held.sum() < placing.tuning.similarity_fit.min_positions:
+        if len(placing.measured.points) and not len(fixes):
             return True, "there are only control points, and none was held out", None
         return False, "there are too few positions to hold some out as a check", None
     sigma = placing.evidence.sigma[: len(fixes)][fixes.held]
@@ -259,14 +248,17 @@ def _score(residual: np.ndarray, clip: float) -> float:
 def _control(
     first: Georeference, world: pycolmap.Reconstruction, scene: Scene, given: Measurements, tuning: WorldTuning
 ) -> PointsFound:
-    """Control points and scale bars in the adjusted model."""
-    control = first.control
+    """Control points and scale bars in the adjusted model; blunders stay what they are."""
+    control, bars = first.control, bars_in(world, scene, given.bars, tuning.marks)
     if given.control is not None:
-        found = marked(_points(world, scene, given, tuning), control.rows)
+        found = [
+            replace(target, why_not=row["why_not"], blunder=True) if row["blunder"] else target
+            for target, row in zip(_points(world, scene, given, tuning), control.rows)
+        ]
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
         rows, accuracy = point_table(given.control, found, off, scene.names)
         control = replace(control, rows=tuple(rows), accuracy=accuracy)
-    return replace(control, bars=bar_rows(bars_in(world, scene, given.bars, tuning.marks), 1.0))
+    return replace(control, bars=() if bars is None else bars.rows(1.0))
 
 
 def _frames(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -283,7 +275,8 @@ def bent_by(
 ) -> pycolmap.Reconstruction:
     """A copy of a model whose frames were moved in the world by ``steps`` (F, 3), with sigmas (F, 3); everything else
     follows as the images determine it."""
-    step, sigma = steps[0], np.maximum(steps[1], _FIRM * _extent(world))
+    centres = np.array([world.image(k).projection_center() for k in world.reg_image_ids()])
+    step, sigma = steps[0], np.maximum(steps[1], _FIRM * rms_length(centres - centres.mean(axis=0)))
     places: dict[int, PlacePrior] = {}
     for index, name in enumerate(scene.names):
         image, frame = world.find_image_with_name(name), scene.frame[index]
@@ -296,12 +289,6 @@ def bent_by(
     known = rig_priors(world, scene, held.soft, tuning.rig.priors)
     known = replace(known, relative_poses=ties, places=tuple(places.values()))
     return adjusted_to(world, held.rigs, held.cameras, known, tuning=tuning.adjust)
-
-
-def _extent(model: pycolmap.Reconstruction) -> float:
-    """Root mean square distance of the images from their middle."""
-    centres = np.array([model.image(k).projection_center() for k in model.reg_image_ids()])
-    return rms_length(centres - centres.mean(axis=0))
 
 
 def similarity_to(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction, first: Similarity) -> Similarity:

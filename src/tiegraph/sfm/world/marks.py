@@ -65,8 +65,10 @@ def _rays(
     model: pycolmap.Reconstruction, scene: Scene, marks: Marks, points: Sequence[int], tuning: MarkTuning
 ) -> Iterator[tuple[list[_Ray], np.ndarray]]:
     """For one point after another, the rays of its marks in images with poses, and the rows of these marks."""
-    views = {k: v for k in np.unique(marks.image) if (v := _view(model, scene.names[k])) is not None}
-    sigma = mark_sigma(marks, tuning)
+    images = {k: model.find_image_with_name(scene.names[k]) for k in np.unique(marks.image)}
+    views = {k: (matrix(i.cam_from_world()), i.camera) for k, i in images.items() if i is not None and i.has_pose}
+    sigma = np.hypot(marks.sigma_px, tuning.pose_sigma_px)
+    sigma = np.where(np.isfinite(sigma), sigma, tuning.mark_sigma_px)
     for point in points:
         rows = np.array([r for r in np.flatnonzero(marks.point == point) if marks.image[r] in views], int)
         yield [_Ray(*views[marks.image[r]], xy=marks.xy_px[r], sigma_px=float(sigma[r])) for r in rows], rows
@@ -139,12 +141,6 @@ def as_copy(marks: Marks, scene: Scene, copy: Copy, tuning: MarkTuning) -> Marks
     return replace(marks, xy_px=xy, sigma_px=sigma).where(inside)
 
 
-def mark_sigma(marks: Marks, tuning: MarkTuning) -> np.ndarray:
-    """(M,) sigmas of marks, pixels."""
-    own = np.hypot(marks.sigma_px, tuning.pose_sigma_px)
-    return np.where(np.isfinite(own), own, tuning.mark_sigma_px)
-
-
 @dataclass(frozen=True)
 class _Ray:
     """One mark: cam_from_world (4, 4) and camera of its image (COLMAP's), pixel (2,), sigma."""
@@ -180,11 +176,6 @@ def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) 
     return out
 
 
-def marked(found: list[Target], rows: Sequence[dict]) -> list[Target]:
-    """The points with the blunders of an earlier table marked."""
-    return [replace(t, why_not=r["why_not"], blunder=True) if r["blunder"] else t for t, r in zip(found, rows)]
-
-
 def _agreement(found: list[Target], control: Control, use: list[int]) -> tuple[float, Similarity]:
     """RMS difference between points and survey after a similarity, in sigmas, and the similarity."""
     place = np.array([found[k].place for k in use])
@@ -194,25 +185,21 @@ def _agreement(found: list[Target], control: Control, use: list[int]) -> tuple[f
     return float(np.sqrt(squares.sum() / max(3 * len(use) - 7, 1))), fit
 
 
-def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] | None:
-    image = model.find_image_with_name(name)
-    if image is None or not image.has_pose:
-        return None
-    return matrix(image.cam_from_world()), image.camera
-
-
 def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning, of: int = 0) -> Target:
     """The point of some marks, left over of ``of`` marks (0: they are all)."""
     of = of or len(rows)
     nowhere = Target(
-        place=np.full(3, np.nan),
-        covariance=np.full((3, 3), np.nan),
-        marks=rows,
-        residual_px=np.full((len(rows), 2), np.nan),
+        np.full(3, np.nan), np.full((3, 3), np.nan), marks=rows, residual_px=np.full((len(rows), 2), np.nan)
     )
     if len(rows) < 2:
         return replace(nowhere, why_not=f"it has {len(rows)} marks in registered images; 2 are needed")
-    solution = _meet(seen, tuning)
+    solution: Any = scipy.optimize.least_squares(
+        lambda x: _off_sigmas(seen, x),
+        _nearest(seen),
+        loss="soft_l1",
+        f_scale=tuning.soft_px / tuning.mark_sigma_px,
+        x_scale="jac",
+    )
     residual = solution.fun.reshape(-1, 2) * np.array([[s.sigma_px] for s in seen])
     off = np.linalg.norm(residual, axis=1)
     worst = int(np.argmax(off))
@@ -241,14 +228,6 @@ def _chance(seen: list[_Ray], off_px: float, of: int) -> float:
     in space: each mark beyond the first three coordinates within a band of twice that width."""
     side = min(min(s.camera.width, s.camera.height) for s in seen)
     return min(1.0, float(comb(of, len(seen))) * (4 * off_px / side) ** (2 * len(seen) - 3))
-
-
-def _meet(rays: list[_Ray], tuning: MarkTuning) -> Any:
-    """Least squares over pixels in sigmas of the marks, starting from the linear intersection of the rays."""
-    scale = tuning.soft_px / tuning.mark_sigma_px
-    return scipy.optimize.least_squares(
-        lambda x: _off_sigmas(rays, x), _nearest(rays), loss="soft_l1", f_scale=scale, x_scale="jac"
-    )
 
 
 def _nearest(rays: list[_Ray]) -> np.ndarray:
@@ -296,22 +275,11 @@ def point_table(
     for role, mask in (("gcp", ~control.check), ("check", control.check)):
         known = off_m[mask & ~refused & np.isfinite(off_m).all(axis=1)]
         if len(known):
-            sums[role] = accuracy(known)
+            east, north, up = rmse = np.sqrt(np.mean(known**2, axis=0))
+            flat = np.hypot(east, north)
+            values = {
+                "points": len(known), "rmse_east_m": east, "rmse_north_m": north, "rmse_up_m": up, "rmse_plan_m": flat,
+                "rmse_m": np.linalg.norm(rmse), "ce90_m": _CE90 * flat / np.sqrt(2), "le90_m": _LE90 * up,
+            }  # fmt: skip
+            sums[role] = {n: round(float(v), 4) for n, v in values.items()}
     return rows, sums
-
-
-def accuracy(off_m: np.ndarray) -> dict[str, float]:
-    """RMSE by axis, in plan and in space, CE90 and LE90, metres, of differences (P, 3)."""
-    rmse = np.sqrt(np.mean(off_m**2, axis=0))
-    flat = float(np.hypot(rmse[0], rmse[1]))
-    values = {
-        "points": float(len(off_m)),
-        "rmse_east_m": rmse[0],
-        "rmse_north_m": rmse[1],
-        "rmse_up_m": rmse[2],
-        "rmse_plan_m": flat,
-        "rmse_m": float(np.linalg.norm(rmse)),
-        "ce90_m": _CE90 * flat / np.sqrt(2),
-        "le90_m": _LE90 * rmse[2],
-    }
-    return {n: round(float(v), 4) for n, v in values.items()}

@@ -9,7 +9,7 @@ between the points of models placed no model of any survey.) If matches and posi
 contradiction says so.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,17 +21,15 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieFit, TieTest, apart, moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches
-from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.upright import RIGHT_ANGLE_DEG
 from tiegraph.text import known_to
 
 COLUMNS = [
     "model", "images", "in the world by", *TEST_COLUMNS, "positions differ m", "positions differ deg", "sigma m",
     "why not",
 ]  # fmt: skip
-
-Whole = Callable[[pycolmap.Reconstruction, Measurements], tuple[Georeference, pycolmap.Reconstruction]]
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ def one_world(
     scene: Scene,
     verified: VerifiedMatches,
     similarity: Callable[[pycolmap.Reconstruction, Measurements], Georeference],
-    whole: Whole,
+    whole: Callable[[pycolmap.Reconstruction, Measurements], tuple[Georeference, pycolmap.Reconstruction]],
     given: Measurements,
     tuning: Tuning,
 ) -> OneWorld:
@@ -131,75 +129,31 @@ def one_world(
     if carrier:
         first, world = whole(models[carrier], blind)
     joining = Joining(scene, verified, tuning.placement, models, {carrier: world})
-    assembly = _Assembly(models, first, joining, whole, blind, alone, tuning)
-    while left := assembly.left():
-        if not (assembly.by_matches(left) or assembly.by_positions(left)):
-            break
-    return assembly.result()
-
-
-class _Assembly:
-    """The models in the world so far (``joining``), and how each further one came there or why it did not.
-
-    Each way of placing tries the remaining models and returns whether one of them came into the world.
-    """
-
-    def __init__(
-        self,
-        models: Sequence[pycolmap.Reconstruction],
-        first: Georeference,
-        joining: Joining,
-        whole: Whole,
-        given: Measurements,
-        alone: Mapping[int, Georeference],
-        tuning: Tuning,
-    ) -> None:
-        self._models, self._first, self._joining, self._tuning = models, first, joining, tuning
-        self._whole = lambda number: whole(models[number], given)[1]
-        self._alone = {k: found for k, found in alone.items() if k not in joining.world}
-        self._others: dict[int, Joined] = {}
-        self._contradictions: list[str] = []
-
-    def left(self) -> list[int]:
-        """The models without a result yet."""
-        return [k for k in self._alone if k not in self._others]
-
-    def by_matches(self, left: Sequence[int]) -> bool:
-        """Place the model with most matches to those in the world."""
-        tied = self._joining.strongest(left)
-        if tied is None:
-            return False
-        number, fit, test = tied
-        off, sigma, said = _against_positions(number, self._first, self._alone[number], fit)
-        self._contradictions += said
-        images = self._models[number].num_reg_images()
-        joined = Joined(number, images, by="matches", test=test, off=off, sigma_m=sigma)
-        self._add(joined, moved(self._models[number], fit.first_from_second))
-        return True
-
-    def by_positions(self, left: Sequence[int]) -> bool:
-        """Place the first model that its own positions place; if there is none, all remaining models stay out."""
-        tried = [self._placed_alone(number) for number in left]
+    others: dict[int, Joined] = {}
+    said: list[str] = []
+    while left := [k for k in alone if k != carrier and k not in others]:
+        if (tied := joining.strongest(left)) is not None:
+            number, fit, test = tied
+            off, sigma, why = _against_positions(number, first, alone[number], fit)
+            said += why
+            others[number] = Joined(
+                number, models[number].num_reg_images(), "matches", test=test, off=off, sigma_m=sigma
+            )
+            joining.add(number, moved(models[number], fit.first_from_second))
+            continue
+        tried = [_by_positions(k, models[k], first, alone[k], joining.tests.get(k), tuning) for k in left]
         found = next((j for j in tried if j.by), None)
         if found is None:
-            self._others |= {j.number: j for j in tried}
-            return False
-        self._add(found, self._whole(found.number))
-        return True
-
-    def result(self) -> OneWorld:
-        """All that came into the world as one model."""
-        whole = merged([self._joining.world[k] for k in sorted(self._joining.world)])
-        others = tuple(self._others[k] for k in sorted(self._others))
-        return OneWorld(first=self._first, model=whole, others=others, contradictions=tuple(self._contradictions))
-
-    def _add(self, joined: Joined, model: pycolmap.Reconstruction) -> None:
-        self._others[joined.number] = joined
-        self._joining.add(joined.number, model)
-
-    def _placed_alone(self, number: int) -> Joined:
-        own = self._alone[number]
-        return _by_positions(number, self._models[number], self._first, own, self._joining, self._tuning)
+            others |= {j.number: j for j in tried}
+            break
+        others[found.number] = found
+        joining.add(found.number, whole(models[found.number], blind)[1])
+    return OneWorld(
+        first=first,
+        model=merged([joining.world[k] for k in sorted(joining.world)]),
+        others=tuple(others[k] for k in sorted(others)),
+        contradictions=tuple(said),
+    )
 
 
 def _by_positions(
@@ -207,11 +161,10 @@ def _by_positions(
     model: pycolmap.Reconstruction,
     first: Georeference,
     own: Georeference,
-    joining: Joining,
+    test: TieTest | None,
     tuning: Tuning,
 ) -> Joined:
     """Place by its positions a model that no match joins."""
-    test = joining.tests.get(number)
     out = Joined(number, model.num_reg_images(), test=test)
     loose = "no match joins it to the others" if test is None else (
         f"{test.total} matches run between it and the others, of which {test.ties} agree with one similarity"
@@ -221,10 +174,10 @@ def _by_positions(
     if not first.placed:
         return replace(out, why_not=f"{loose}, and the model that defines the world has no positions for comparison")
     roll = own.placing.fit.roll_sigma_deg
-    if roll > tuning.world.similarity_fit.roll_limit_deg:
+    if roll > tuning.world.up.lone_sigma_deg:
         known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
         return replace(
-            out, why_not=(f"{loose}, and its positions do not determine the rotation about its track ({known})")
+            out, why_not=f"{loose}, and its positions do not determine the rotation about its track ({known})"
         )
     return replace(out, by="positions", sigma_m=_sigma(own))
 

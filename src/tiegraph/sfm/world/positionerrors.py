@@ -44,19 +44,6 @@ class Stated:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """K positions and the other information on D unknowns, linearised at their present values.
-
-    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals. ``known`` (D + 1, D +
-    1): the products of such rows, divided by their sigmas, of all other information.
-    """
-
-    rows: np.ndarray
-    stated: Stated
-    known: np.ndarray
-
-
-@dataclass(frozen=True)
 class Sizes:
     """Sizes of errors relative to the stated sigma: ``white`` and ``slow`` by level (L,), and the correlation time
     (s)."""
@@ -67,23 +54,25 @@ class Sizes:
 
 
 class PositionErrors:
-    """The maximum likelihood sizes of the errors of some positions, and the resulting estimate of the unknowns.
+    """The maximum likelihood sizes of the errors of some positions, and the resulting estimate of D unknowns,
+    linearised at their present values.
 
-    ``near``: sizes of nearly the same positions, from which the search starts.
+    ``rows`` (K, 3, D + 1), metres: derivatives of places by the unknowns and, last, residuals. ``known`` (D + 1, D +
+    1): the products of such rows, divided by their sigmas, of all other information. ``near``: sizes of nearly the same
+    positions, from which the search starts.
     """
 
-    def __init__(self, linear: Linear, tuning: NoiseTuning, near: Sizes | None = None) -> None:
-        self._linear, self._tuning, self._near = linear, tuning, near
-        names, number, counts = np.unique(linear.stated.level, return_inverse=True, return_counts=True)
+    def __init__(
+        self, rows: np.ndarray, stated: Stated, known: np.ndarray, tuning: NoiseTuning, near: Sizes | None = None
+    ) -> None:
+        self._stated, self._known, self._tuning, self._near = stated.sigma[:, 0], known, tuning, near
+        names, number, counts = np.unique(stated.level, return_inverse=True, return_counts=True)
         few = counts < tuning.min_rows  # levels of a few positions share one size
         joined = np.where(few, few.argmax() if len(few) else 0, np.arange(len(names)))
         self._level = np.unique(joined[number], return_inverse=True)[1]
-        order = np.argsort(linear.stated.time_s, kind="stable")  # NaN last
-        self._order = order
-        self._steps = np.diff(linear.stated.time_s[order])
-        self._sides = (linear.rows / linear.stated.sigma[:, :, None])[order].reshape(
-            len(order), 3 * linear.rows.shape[2]
-        )
+        self._order = np.argsort(stated.time_s, kind="stable")  # NaN last
+        self._steps = np.diff(stated.time_s[self._order])
+        self._sides = (rows / stated.sigma[:, :, None])[self._order].reshape(len(rows), 3 * rows.shape[2])
 
     @cached_property
     def sizes(self) -> Sizes:
@@ -105,8 +94,8 @@ class PositionErrors:
     def levels(self) -> list[tuple[float, float, int]]:
         """For each level of the stated sigma, best first: that sigma (m), ratio of the errors to it, number of
         positions."""
-        total, stated = np.hypot(self.sizes.white, self.sizes.slow), self._linear.stated.sigma[:, 0]
-        of = [stated[self._level == k] for k in range(len(total))]
+        total = np.hypot(self.sizes.white, self.sizes.slow)
+        of = [self._stated[self._level == k] for k in range(len(total))]
         return sorted((float(np.median(own)), float(factor), len(own)) for own, factor in zip(of, total))
 
     @staticmethod
@@ -127,7 +116,7 @@ class PositionErrors:
         """Log determinant of the errors' covariance, and (D + 1, D + 1): the normal matrix, with the right-hand side
         as its last column and the sum of squared residuals in the corner."""
         if not len(self._order):  # control points alone may be all that is believed
-            return 0.0, _regular(self._linear.known)
+            return 0.0, _regular(self._known)
         level = self._level[self._order]
         slow = sizes.slow[level]
         precise = (slow / sizes.white[level]) ** 2  # everything in units of the slow part
@@ -143,7 +132,7 @@ class PositionErrors:
         weighed = precise[:, None] * sides
         weighed -= precise[:, None] * cho_solve_banded((factor, False), weighed)
         sides, weighed = (v.reshape(len(precise) * 3, -1) for v in (sides, weighed))
-        return 3 * float(lost), _regular(self._linear.known + sides.T @ weighed)
+        return 3 * float(lost), _regular(self._known + sides.T @ weighed)
 
     def step(self, believed: Mapping[int, float]) -> tuple[np.ndarray, np.ndarray]:
         """The step (D,) of the unknowns to the best fit, and their covariance (D, D).
@@ -172,8 +161,7 @@ def _regular(normal: np.ndarray) -> np.ndarray:
     return out
 
 
-# --- while poses, antenna and clock offset are estimated
-# ------------------------------------------------------------------
+# --- while poses, antenna and clock offset are estimated -------------------------------------------------------------
 
 
 def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> np.ndarray:
@@ -183,24 +171,18 @@ def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning:
     r)) for the correlation r of neighbours in time (the effective number of a first-order process).
     """
     out = np.ones(len(level))
-    for rows in _rows_of(level):
+    for value in np.unique(level) if len(level) >= tuning.min_rows else ():
+        rows = np.flatnonzero(level == value)
         if len(rows) < tuning.min_rows:
-            rows_of = np.ones(len(level), bool) if len(level) >= tuning.min_rows else np.zeros(len(level), bool)
-            if rows_of.any():
-                out[rows] = _scatter(residual)
-            continue
-        r = _correlation(residual[rows], time_s[rows], tuning)
-        out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
+            out[rows] = _scatter(residual)
+        else:
+            r = _correlation(residual[rows], time_s[rows], tuning)
+            out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
     return out
 
 
-def _rows_of(level: np.ndarray) -> list[np.ndarray]:
-    return [np.flatnonzero(level == v) for v in np.unique(level)]
-
-
 def _scatter(residual: np.ndarray) -> float:
-    squares = np.sum(residual**2, axis=1)
-    return max(1.0, float(np.sqrt(np.median(squares) / MEDIAN_CHI2_3)))
+    return max(1.0, float(np.sqrt(np.median(np.sum(residual**2, axis=1)) / MEDIAN_CHI2_3)))
 
 
 def _correlation(residual: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> float:
