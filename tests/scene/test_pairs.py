@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs, PreviewMatches
 
-rows = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=40)
+DRAW = np.random.default_rng(0)
+LISTS = [list(map(tuple, DRAW.integers(0, 13, (k, 2)).tolist())) for k in range(41)]
 
 
 def table(pairs, source="sequence"):
@@ -15,17 +14,14 @@ def table(pairs, source="sequence"):
     return Pairs.make(array[:, 0], array[:, 1], source)
 
 
-@settings(deadline=None)
-@given(rows)
+@pytest.mark.parametrize("pairs", LISTS, ids=len)
 def test_always_sorted_unique_and_without_self_pairs(pairs):
     made = table(pairs)
     want = sorted({(min(p), max(p)) for p in pairs if p[0] != p[1]})
     assert list(zip(made.i.tolist(), made.j.tolist())) == want
 
 
-@pytest.mark.slow
-@settings(deadline=None)
-@given(rows, rows)
+@pytest.mark.parametrize(("a", "b"), list(zip(LISTS, LISTS[::-1])), ids=len)
 def test_union_keeps_every_pair_and_both_sources(a, b):
     both = table(a) | table(b, "offsets")
     names = {tuple(p): k for k, p in enumerate(zip(both.i.tolist(), both.j.tolist()))}
@@ -36,11 +32,10 @@ def test_union_keeps_every_pair_and_both_sources(a, b):
     assert len(names) == len({tuple(sorted(p)) for p in a + b if p[0] != p[1]})
 
 
-@settings(deadline=None)
-@given(rows, st.data())
-def test_filters_only_drop_and_the_first_reason_stays(pairs, data):
+@pytest.mark.parametrize("pairs", LISTS, ids=len)
+def test_filters_only_drop_and_the_first_reason_stays(pairs):
     made = table(pairs)
-    mask = np.array(data.draw(st.lists(st.booleans(), min_size=len(made), max_size=len(made))), bool)
+    mask = np.random.default_rng(len(pairs)).random(len(made)) < 0.5
     dropped = made.drop(mask, "weak").drop(np.ones(len(made), bool), "cut")
     assert len(dropped) == len(made) and len(dropped.kept()) == 0
     assert (dropped.dropped[mask] == REASONS.index("weak")).all()

@@ -9,7 +9,7 @@ import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.scene.atomic import regular
-from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
+from tiegraph.scene.cloudfile import read_cloud, whole_las_header
 
 BIN_COLUMNS = ("x", "y", "z", "intensity")
 TIME_COLUMNS = ("t", "time", "dt", "time_s", "offset_time", "timestamp", "timestamps", "times", "gps_time")
@@ -88,7 +88,7 @@ def _read_npz(path: Path, columns: Sequence[str]) -> Points:
 
 def _read_las(path: Path, columns: Sequence[str]) -> Points:
     with _reading(path):
-        refuse_cut_las(regular(path, None))
+        whole_las_header(regular(path, None))
         las = laspy.read(path)
         xyz = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(float)
         time = np.asarray(las.gps_time, float) if "gps_time" in las.point_format.dimension_names else None

@@ -274,7 +274,7 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
         if held is not None and held.is_ref_sensor(ids[0]):
             for k in range(1, len(sensors)):
                 if held.has_sensor_from_rig(ids[k]):
-                    sensors[k] = replace(sensors[k], sensor_from_rig=matrix(held.sensor_from_rig(ids[k])))
+                    sensors[k] = replace(sensors[k], sensor_from_rig=matrix(held.sensor_from_rig(ids[k])))  # type: ignore[arg-type]
         out.append(replace(rig, sensors=tuple(sensors)))
     return tuple(out)
 
