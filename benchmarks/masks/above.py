@@ -19,8 +19,7 @@ from benchmarks.masks.measure import load
 from tiegraph.masks import learnt
 from tiegraph.masks.learnt import Edges, not_above
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import LabelTuning
+from tiegraph.masks.tuning import LabelTuning, Tuning
 
 
 def above(name: str) -> float:

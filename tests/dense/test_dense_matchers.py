@@ -6,8 +6,7 @@ import pytest
 
 from tiegraph.dense import engine, tsgm
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import _left_right, match_sgbm
-from tiegraph.dense.tsgm import mutual_information
+from tiegraph.dense.tsgm import _left_right, match_sgbm, mutual_information
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import EngineMissing, SettingsError, choose
 

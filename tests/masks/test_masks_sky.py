@@ -156,7 +156,7 @@ def test_regions_end_at_edges_and_hold_soft_clouds():
     image = np.full((200, 320), 180, np.float32)
     image[:90] += 25 * np.sin(np.linspace(0, 6, 320))[None]  # clouds: a few grey levels a pixel at most
     image[90:] = 100
-    regions = textureless_regions(np.clip(image, 0, 255).astype(np.uint8), TUNING.regions)
+    regions = textureless_regions(np.clip(image, 0, 255).astype(np.uint8), TUNING.classification)
     above, below = regions[5:85], regions[95:195]
     assert (above == above[0, 0]).all() and (below == below[0, 0]).all() and 0 < above[0, 0] != below[0, 0] > 0
     assert (regions[89:91] == 0).any(), "the edge itself is of no region"
@@ -167,7 +167,7 @@ def test_a_region_is_judged_as_one():
     regions[:, :5], regions[:, 6:] = 1, 2
     ratio = np.full((10, 10), 2.0, np.float32)
     ratio[:, 6:] = -9.0  # clipped: no single pixel outweighs all others
-    mean = pooled(ratio, regions, TUNING.regions)
+    mean = pooled(ratio, regions, TUNING.classification)
     assert mean[0, 0] == pytest.approx(2) and mean[0, 9] == pytest.approx(-3) and (mean[:, 5] == 0).all()
 
 
@@ -200,7 +200,7 @@ def test_a_pale_piece_that_matches_is_a_cloud_above_the_horizon_and_a_wall_below
     sky[:60] = True
     across, down = np.meshgrid(np.linspace(0.65, 0.95, 12), np.linspace(0.3, 0.4, 8))
     xy = np.stack([across.ravel(), down.ravel()], axis=1).astype(np.float32)
-    seen = Matchability(Path("a.jpg"), xy, np.ones(len(xy), bool))
+    seen = Matchability(Path("a.jpg"), xy, np.ones(len(xy), bool), np.ones(len(xy)))
     found = _like_sky(image, sky, seen, TUNING.labels, lowest=60 / 240)
     assert found[65:90, 210:310].all() == cloud
     assert not found[:60].any() and not _like_sky(image, sky & False, seen, TUNING.labels, 0.3).any()

@@ -1,6 +1,6 @@
 """Accuracy of masks: against masks made by hand or known to be true, per camera (paper 001, table 2)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -36,7 +36,11 @@ class MaskComparison:
 
     def table(self) -> dict:
         """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
-        return {"columns": list(COLUMNS), "rows": [_cells(r) for r in self.rows]}
+        shares = [(r.accuracy, r.iou, r.useful_lost, r.useless_kept) for r in self.rows]
+        return {
+            "columns": list(COLUMNS),
+            "rows": [[r.camera, r.images, *_percent(s)] for r, s in zip(self.rows, shares)],
+        }
 
 
 def compare(
@@ -53,11 +57,18 @@ def compare(
     sums: dict[str, np.ndarray] = {}
     unfit: list[str] = []
     for name, camera in sorted(names.items()):
-        true_path = find_mask(truth, name)
+        true_path, path = find_mask(truth, name), find_mask(found, name)
         if true_path is None:
             continue
         try:
-            sums[camera] = sums.get(camera, 0) + _counts(*_both(found, name, true_path, keep_labels))
+            if path is None:
+                raise InputError(f"{found}: no mask for {name}, which has a true one ({true_path})")
+            mask, true = read_mask_file(path), read_mask_file(true_path, keep_labels)
+            if mask.shape != true.shape:
+                sizes = [f"{m.shape[1]} x {m.shape[0]}" for m in (mask, true)]
+                raise InputError(f"{path}: {sizes[0]} pixels, but {true_path} has {sizes[1]}")
+            counts = [1, mask.size, *(np.count_nonzero(m) for m in (true, mask, mask & true))]
+            sums[camera] = sums.get(camera, 0) + np.array(counts, np.int64)
         except InputError as error:
             unfit.append(str(error))
     if not sums:
@@ -65,18 +76,6 @@ def compare(
         raise InputError(unfit[0] if unfit else none)
     rows = [_row(camera, sums[camera]) for camera in sorted(sums)]
     return MaskComparison((*rows, _row(ALL, np.sum(list(sums.values()), axis=0))), tuple(unfit))
-
-
-def _both(found: Path, name: str, true_path: Path, keep_labels: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """The mask found for an image, and the true one. Raises InputError if they do not fit."""
-    path = find_mask(found, name)
-    if path is None:
-        raise InputError(f"{found}: no mask for {name}, which has a true one ({true_path})")
-    mask, true = read_mask_file(path), read_mask_file(true_path, keep_labels)
-    if mask.shape != true.shape:
-        sizes = [f"{m.shape[1]} x {m.shape[0]}" for m in (mask, true)]
-        raise InputError(f"{path}: {sizes[0]} pixels, but {true_path} has {sizes[1]}")
-    return mask, true
 
 
 @dataclass(frozen=True)
@@ -90,9 +89,8 @@ class ClassComparison:
 
     def table(self) -> dict:
         """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
-        cells = [[None if v != v else round(100 * float(v), 1) for v in row] for row in self.iou]
         heads = ["camera", *(f"{name} IoU %" for name in self.labels)]
-        return {"columns": heads, "rows": [[camera, *own] for camera, own in zip(self.rows, cells)]}
+        return {"columns": heads, "rows": [[camera, *_percent(own)] for camera, own in zip(self.rows, self.iou)]}
 
 
 def compare_classes(
@@ -125,7 +123,7 @@ def compare_classes(
 
 def table_text(table: dict) -> str:
     """A table {"columns", "rows"} as aligned text."""
-    lines = [list(table["columns"]), *([_shown(c) for c in row] for row in table["rows"])]
+    lines = [list(table["columns"]), *(["-" if c is None else str(c) for c in row] for row in table["rows"])]
     wide = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     return "\n".join(
         "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, wide))) for line in lines
@@ -137,11 +135,6 @@ def _names(found: Path) -> dict[str, str]:
         raise InputError(f"{found}: there is no such folder of masks")
     names = [p.relative_to(found).as_posix()[: -len(".png")] for p in Path(found).rglob("*.png")]
     return {n: PurePosixPath(n).parent.name or "camera" for n in names}
-
-
-def _counts(mask: np.ndarray, true: np.ndarray) -> np.ndarray:
-    both = np.count_nonzero(mask & true)
-    return np.array([1, mask.size, np.count_nonzero(true), np.count_nonzero(mask), both], np.int64)
 
 
 def _row(camera: str, counts: np.ndarray) -> MaskRow:
@@ -161,10 +154,5 @@ def _share(part: int, whole: int) -> float:
     return part / whole if whole else float("nan")
 
 
-def _cells(row: MaskRow) -> list:
-    shares = (row.accuracy, row.iou, row.useful_lost, row.useless_kept)
-    return [row.camera, row.images, *(None if s != s else round(100 * s, 1) for s in shares)]
-
-
-def _shown(cell: str | float | None) -> str:
-    return "-" if cell is None else str(cell)
+def _percent(shares: Iterable[float]) -> list[float | None]:
+    return [None if s != s else round(100 * float(s), 1) for s in shares]
