@@ -9,8 +9,8 @@ import pytest
 
 import terrain_world as world
 from tiegraph.pipeline import terrain as glue
-from tiegraph.products.contours import contour_lines, equidistance
 from tiegraph.products.raster import Place
+from tiegraph.products.terrain import contour_lines, equidistance
 from tiegraph.products.tuning import ContourTuning
 
 TUNING = ContourTuning()

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import terrain_world as world
-from tiegraph.products.contours import Line
-from tiegraph.products.pictures import relief
+from tiegraph.products.raster import relief
+from tiegraph.products.terrain import Line
 from tiegraph.report.spatial import product_views
 
 
