@@ -116,7 +116,7 @@ camera = CameraModel("SIMPLE_RADIAL", width, height, (5376.0, width / 2, height 
 aside = np.eye(4)
 aside[0, 3] = -baseline
 views = [ViewPlan("a.jpg", camera, np.eye(4)), ViewPlan("b.jpg", camera, aside)]
-plan = ImagePlan(views[0], (views[1],) * 2, ("b.jpg",), DepthRange(40.0, 80.0))
+plan = ImagePlan(views[0], (views[1],) * 2, ("b.jpg",), DepthRange(50.0, 72.0))
 settings, tuning = DenseSettings(min_views=2), Tuning()
 first = depth_map(plan, folder, None, settings, tuning)
 final, _ = confirmed_map(plan, first, {}.get, settings, tuning)

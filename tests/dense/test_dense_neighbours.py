@@ -107,8 +107,8 @@ def test_no_partner_at_all_is_an_error_with_a_remedy():
 
 @pytest.mark.slow
 def test_each_of_many_images_that_see_the_same_has_a_bounded_plan():
-    plan = plan_images(model([(0.02 * k, 0, 0) for k in range(300)], count=600), SETTINGS, TUNING.partners)
-    assert len(plan.images) == 300 and not plan.dropped
+    plan = plan_images(model([(0.06 * k, 0, 0) for k in range(100)], count=400), SETTINGS, TUNING.partners)
+    assert len(plan.images) == 100 and not plan.dropped
     assert {len(p.partners) for p in plan.images.values()} == {SETTINGS.partners}
 
 

@@ -7,8 +7,15 @@ from PIL import Image
 
 from masks_world import write
 from tiegraph.errors import InputError
-from tiegraph.masks.compare import compare, table_text
-from tiegraph.masks.folder import candidates, check_folder, find_mask, read_folder_mask, read_mask_file
+from tiegraph.masks.folder import (
+    candidates,
+    check_folder,
+    compare,
+    find_mask,
+    read_folder_mask,
+    read_mask_file,
+    table_text,
+)
 
 SIZE = (48, 64)
 NAME = "up/cam0/a.jpg"

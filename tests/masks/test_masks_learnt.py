@@ -75,26 +75,24 @@ def test_sky_water_and_platform_of_a_boat(boat, learnt):
 
 
 @pytest.mark.slow
-def test_tables_and_maps_of_other_sizes_do_as_well(boat):
+def test_tables_and_maps_of_other_sizes_do_as_well_and_water_is_where_it_is_asked_for(boat):
     varied = {
-        "frames": {"look_px": 256},
+        "frames": {"work_px": 512},
         "classification": {"light_bins": 13, "colour_bins": 10, "texture_edges_grey": (1.0, 3.0, 8.0)},
         "labels": {"places": (9, 11)},
         "water": {"grid": (45, 70), "block_px": (5, 3)},
     }
     tuning = Tuning.model_validate(varied)
     prepared = learn({0: boat[0]}, MasksSettings(water="on"), tuning)[0]
-    assert prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
+    assert prepared.note.endswith(", water") and prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
     assert {len(t) for t in prepared.table.values()} == {13 * 10 * 10 * 4}
     found = classes_of(boat[0][5], prepared, MasksSettings(), SHAPE, tuning)
     assert ((found == USE) == (truth() == USE)).mean() > 0.9
 
 
 @pytest.mark.slow
-def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
-    one = {0: boat[0]}
-    assert learn(one, MasksSettings(water="on"), TUNING)[0].note.endswith(", water")
-    again = [learn(one, MasksSettings(), TUNING)[0] for _ in range(2)]
+def test_one_camera_has_no_water_if_it_is_not_asked_for_and_twice_the_same_classes(boat):
+    again = [learn({0: boat[0]}, MasksSettings(), TUNING)[0] for _ in range(2)]
     assert all(a.note.endswith("no water seen") for a in again)
     a, b = (classes_of(boat[0][3], x, MasksSettings(), SHAPE, TUNING) for x in again)
     assert (a == b).all(), "twice the same"

@@ -12,7 +12,7 @@ import pytest
 from masks_world import SHAPE, smooth, write
 from tiegraph.masks import SKY, USE, WATER
 from tiegraph.masks.classification import _snapped, classes_of, pooled, textureless_regions
-from tiegraph.masks.learnt import Edges, _like_sky, _wide, edges_of, learn, lowest_agreed, not_above
+from tiegraph.masks.learnt import _like_sky, _wide, edges_of, learn, lowest_agreed, not_above
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, places, without_points
@@ -88,21 +88,21 @@ def test_an_overcast_sky_of_the_same_looks_is_masked(tmp_path, roll):
 def test_edges_of_a_sky_face_down_and_those_of_a_road_both_ways():
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
     sky = edges_of(row < HORIZON, EVERYWHERE, TUNING.labels)
-    assert sky.down == pytest.approx(sky.length) and sky.length == pytest.approx(SHAPE[1], rel=0.02)
+    assert sky[0] == pytest.approx(sky[1]) and sky[1] == pytest.approx(SHAPE[1], rel=0.02)
     tilted = edges_of(row < HORIZON + 0.5 * (column - 160), EVERYWHERE, TUNING.labels)
-    assert tilted.down / tilted.length == pytest.approx(np.cos(np.arctan(0.5)), abs=0.02)
+    assert tilted[0] / tilted[1] == pytest.approx(np.cos(np.arctan(0.5)), abs=0.02)
     road = edges_of(abs(column - 160 + 0.3 * row) < 30, EVERYWHERE, TUNING.labels)
     yard = edges_of((abs(column - 160) < 40) & (abs(row - 120) < 40), EVERYWHERE, TUNING.labels)
-    assert abs(road.down) < 0.02 * road.length and abs(yard.down) < 0.02 * yard.length
+    assert abs(road[0]) < 0.02 * road[1] and abs(yard[0]) < 0.02 * yard[1]
     cut = edges_of(row < HORIZON, row < HORIZON, TUNING.labels)
-    assert cut.length < 0.03 * sky.length, "where the sky is no longer sought it has no edge"
+    assert cut[1] < 0.03 * sky[1], "where the sky is no longer sought it has no edge"
 
 
 def test_all_level_cameras_say_together_whether_the_sky_is_above():
     own = TUNING.labels
-    assert not_above({0: [Edges(40, 80), Edges(10, 20)], 1: [Edges(-5, 30)]}, own) == set()
-    assert not_above({0: [Edges(4, 80), Edges(10, 20)], 1: [Edges(9, 10)]}, own) == {0, 1}
-    assert not_above({0: [Edges()], 1: []}, own) == set() == not_above({}, own), "nothing looks like sky"
+    assert not_above({0: [(40, 80), (10, 20)], 1: [(-5, 30)]}, own) == set()
+    assert not_above({0: [(4, 80), (10, 20)], 1: [(9, 10)]}, own) == {0, 1}
+    assert not_above({0: [(0.0, 0.0)], 1: []}, own) == set() == not_above({}, own), "nothing looks like sky"
 
 
 WIDE = (360, 640)

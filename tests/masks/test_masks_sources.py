@@ -13,7 +13,7 @@ from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from tiegraph import papers
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.masks import EGO, SKY, USE, sources
-from tiegraph.masks.compare import compare
+from tiegraph.masks.folder import compare
 from tiegraph.masks.frames import full_size, grey, image_size, read_small, small_shape, two_frames
 from tiegraph.masks.platform import flags, image_quality
 from tiegraph.masks.settings import MasksSettings

@@ -6,7 +6,7 @@ In the comparison a depth stands if enough images say the same (paper 004, secti
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import cv2
@@ -65,7 +65,8 @@ class Consistency:
     @staticmethod
     def total(parts: Iterable[Consistency]) -> Consistency:
         """Of several depth maps together."""
-        return Consistency(*(sum(column) for column in zip((0,) * len(fields(Consistency)), *map(astuple, parts))))
+        every = list(parts)
+        return Consistency(*(sum(getattr(part, f.name) for part in every) for f in fields(Consistency)))
 
     def table(self) -> dict:
         """The table {"columns", "rows"} of a receipt: what became of the pixels, and how many percent that is."""
@@ -115,8 +116,14 @@ def check(
             tally.hear(surface, partner, settings.tolerance_px, tuning)
     mapless = [k for k, name in enumerate(partners) if name in unseen]
     judged = [tally.judged(mapless, settings.min_views, tuning) for tally in tallies]
-    joined = {n: np.concatenate([found[n] for found, _ in judged]) for n in ("depth_m", "sigma_m", "views")}
-    return replace(depth, **joined, support=None), Consistency.total(counts for _, counts in judged)
+    joined = replace(
+        depth,
+        depth_m=np.concatenate([found["depth_m"] for found, _ in judged]),
+        sigma_m=np.concatenate([found["sigma_m"] for found, _ in judged]),
+        views=np.concatenate([found["views"] for found, _ in judged]),
+        support=None,
+    )
+    return joined, Consistency.total(counts for _, counts in judged)
 
 
 class Tally:
@@ -145,8 +152,10 @@ class Tally:
         depth, other = self.depth, surface.camera
         z, sigma_z = depth.depth_m, depth.sigma_m
         other_from_depth = other.cam_from_world @ invert(depth.cam_from_world)
-        # Our rays in the other's frame, per unit of depth
-        along = _along(depth, other_from_depth[:3, :3], self.top, len(z))
+        # Our rays with z = 1 in the other's frame: they are affine in the pixel, so each is a row plus a column
+        u, v = np.arange(z.shape[1]) + 0.5, np.arange(self.top, self.top + len(z)) + 0.5
+        matrix = other_from_depth[:3, :3] @ np.linalg.inv(depth.K)
+        along = [((m[0] * u)[None, :] + (m[1] * v + m[2])[:, None]).astype(np.float32) for m in matrix]
         x, y, ahead = (a * z + np.float32(t) for a, t in zip(along, other_from_depth[:3, 3], strict=True))
         their_z = np.where(ahead > 0, ahead, np.float32(np.nan))
         column = np.float32(other.K[0, 0]) * x / their_z + np.float32(other.K[0, 2])
@@ -195,16 +204,6 @@ class Tally:
         return found | {"views": views.astype(np.uint8)}, Consistency(*counts)
 
 
-def _along(depth: DepthMap, rotation: np.ndarray, top: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rays with z = 1 through the pixel centres of some rows, turned: three columns (rows, W) f4. They are affine in
-    the pixel, so each is a row plus a column."""
-    matrix = rotation @ np.linalg.inv(depth.K)
-    u = np.arange(depth.depth_m.shape[1]) + 0.5
-    v = np.arange(top, top + rows) + 0.5
-    x, y, z = ((m[0] * u)[None, :] + (m[1] * v + m[2])[:, None] for m in matrix)
-    return x.astype(np.float32), y.astype(np.float32), z.astype(np.float32)
-
-
 class Surface:
     """A depth map to be looked up: inverse depth with 0 in holes, 1 where known, sigma as a share of the depth."""
 
@@ -245,27 +244,21 @@ def with_normals(depth: DepthMap) -> DepthMap:
     """
     found = 1 / depth.depth_m[np.isfinite(depth.depth_m)]
     middle = float(np.median(found.astype(float))) if len(found) else 1.0
-    normal = np.empty((*depth.depth_m.shape, 3), np.float32)
+    normal, K = np.empty((*depth.depth_m.shape, 3), np.float32), depth.K
     for rows in row_strips(depth.depth_m.shape):
-        normal[rows] = _normals(depth, rows, middle)
+        top = max(0, rows.start - _RADIUS_PX)
+        depth_m, inner = depth.depth_m[top : rows.stop + _RADIUS_PX], slice(rows.start - top, rows.stop - top)
+        known = np.isfinite(depth_m)
+        inverse = np.where(known, 1 / np.where(known, depth_m, 1), 0).astype(np.float64)
+        (a, b, c), good = (values[..., inner, :] for values in _planes(known.astype(np.float64), inverse / middle))
+        u, v = np.arange(depth_m.shape[1]) + 0.5, (np.arange(rows.start, rows.stop) + 0.5)[:, None]
+        # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
+        x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+        n_x, n_y = a * K[0, 0], b * K[1, 1]
+        across = np.stack([n_x, n_y, c - n_x * x - n_y * y], axis=-1)
+        across = -across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+        normal[rows] = np.where((good & known[inner])[..., None], across, np.nan)
     return replace(depth, normal=normal)
-
-
-def _normals(depth: DepthMap, rows: slice, middle: float) -> np.ndarray:
-    """Normals of some rows, by inverse depths in units of ``middle``."""
-    top = max(0, rows.start - _RADIUS_PX)
-    depth_m, inner = depth.depth_m[top : rows.stop + _RADIUS_PX], slice(rows.start - top, rows.stop - top)
-    known = np.isfinite(depth_m)
-    inverse = np.where(known, 1 / np.where(known, depth_m, 1), 0).astype(np.float64)
-    (a, b, c), good = (values[..., inner, :] for values in _planes(known.astype(np.float64), inverse / middle))
-    u, v = np.arange(depth_m.shape[1]) + 0.5, (np.arange(rows.start, rows.stop) + 0.5)[:, None]
-    K = depth.K
-    # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
-    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-    n_x, n_y = a * K[0, 0], b * K[1, 1]
-    normal = np.stack([n_x, n_y, c - n_x * x - n_y * y], axis=-1)
-    normal = -normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    return np.where((good & known[inner])[..., None], normal, np.nan)
 
 
 def _planes(known: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

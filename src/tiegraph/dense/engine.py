@@ -21,7 +21,7 @@ import numpy as np
 
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.tsgm import MAX_CELLS, available, kernel_in_use, match_sgbm, match_tsgm, volume_bytes
+from tiegraph.dense.tsgm import MAX_CELLS, kernel_in_use, kernels, match_sgbm, match_tsgm, volume_bytes
 from tiegraph.dense.tuning import RayTuning, Tuning
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap, row_strips
@@ -105,7 +105,7 @@ def propose(
     most = int(min(tuning.pairs.max_disparities, max_cells / (shape[0] * shape[1] * tuning.pairs.max_pixels_ratio)))
     most = max(most, 16)
     found = [_match_pair(reference, p, depth_range, settings, tuning, matcher, most) for p in partners]
-    return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
+    return found or [Candidates.nothing(shape)]
 
 
 def solve(
@@ -138,7 +138,7 @@ ENGINES: dict[str, DenseEngine] = {
 
 def installed(name: str) -> tuple[str, str]:
     """(name of the engine that can be used here, remark): OpenCV's stands in where the native module was not built."""
-    if name == "tsgm" and not available():
+    if name == "tsgm" and not kernels():
         return "sgbm", (
             "the native matcher was not built (no C++ compiler at installation): depth maps by OpenCV's; "
             "install a compiler and tiegraph again for tsgm"
@@ -166,13 +166,13 @@ def _match_pair(
     tuning: Tuning,
     matcher: PairMatcher,
     most: int,
-) -> Candidates | None:
+) -> Candidates:
     height, width = reference.mask.shape
     sought, most_pixels = (depth_range.near, depth_range.far), tuning.pairs.max_pixels_ratio * height * width
     pair = rectify(reference.pinhole, partner.pinhole, sought, most_pixels, most)
     if pair is None:
         _log.debug("%s and %s share no part that can be rectified", reference.name, partner.name)
-        return None
+        return Candidates.nothing((height, width))
     left, right, right_mask = _rectified_images(reference, partner, pair)
     use = _warped_mask(reference.mask, pair.rect_from_reference, pair.size)
     disparity = matcher(left, right, pair.disparities, settings, tuning, use)

@@ -134,7 +134,11 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
         used = [p for p in candidates if p.used]
         refused.update(p.reason for p in candidates if not p.used and p.reason != SURPLUS)
         if not used:
-            dropped.append((view.name, _why_none(candidates, tuning.min_shared)))
+            why = f"no other image shares {tuning.min_shared} sparse points with it"
+            if candidates:
+                reason, count = Counter(p.reason for p in candidates).most_common(1)[0]
+                why = f"no partner to match with: {reason} ({count} of {len(candidates)} candidates)"
+            dropped.append((view.name, why))
             continue
         lonely += len(used) == 1
         # Points that a partner sees too. Others may come from images closer to each other than the partners are: while
@@ -223,14 +227,14 @@ def _look(
     common, seen, _ = np.intersect1d(table.points[image], table.points[other], True, return_indices=True)
     step = -(-len(common) // 300)
     common, seen = common[::step], seen[::step]
-    views = table.views[image], table.views[other]
-    angle, usable = intersections(*(v.cam_from_world for v in views), table.xyz[common])
+    view, poses = table.views[other], (table.views[image].cam_from_world, table.views[other].cam_from_world)
+    angle, usable = intersections(poses[0], poses[1], table.xyz[common])
     size_a = table.focal[image] / np.maximum(table.depths(image, common), 1e-12)
     size_b = table.focal[other] / np.maximum(table.depths(other, common), 1e-12)
     scale, middle = float(np.median(size_b / size_a)), float(np.median(angle))
     reason = refusal(middle, float(usable.mean()), scale, settings, tuning)
     weight = angle_weight(angle, tuning) * usable * min(scale, 1 / scale) * step
-    return Partner(view=views[1], shared=count, angle_deg=middle, reason=reason), seen, weight
+    return Partner(view=view, shared=count, angle_deg=middle, reason=reason), seen, weight
 
 
 def intersections(a: np.ndarray, b: np.ndarray, world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -291,10 +295,3 @@ def range_of(depths: np.ndarray) -> DepthRange:
     inverse = 1.0 / depths[depths > 0]
     low, high = np.percentile(inverse, [1.0, 99.0])
     return DepthRange(near=float(1 / (high * 2.0)), far=float(1.35 / low))
-
-
-def _why_none(candidates: list[Partner], min_shared: int) -> str:
-    if not candidates:
-        return f"no other image shares {min_shared} sparse points with it"
-    reason, count = Counter(p.reason for p in candidates).most_common(1)[0]
-    return f"no partner to match with: {reason} ({count} of {len(candidates)} candidates)"

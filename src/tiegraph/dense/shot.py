@@ -118,7 +118,10 @@ def _look(
 ) -> tuple[str, float]:
     """Why a camera is no partner, "" if it is one, by points spread over the reference's frame and the depths sought;
     and its worth."""
-    world, size_ratio = _points(reference, sought), other.K[0, 0] / reference.K[0, 0]
+    u, v = np.meshgrid(*((np.arange(24) + 0.5) / 24 * s for s in reference.size))
+    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ np.linalg.inv(reference.K).T
+    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, 5)
+    world = apply(invert(reference.cam_from_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))
     there = apply(other.cam_from_world, world)
     front = there[:, 2] > 0
     at = (there[:, :2] / np.where(front, there[:, 2], 1)[:, None]) * other.K[[0, 1], [0, 1]] + other.K[:2, 2]
@@ -126,18 +129,11 @@ def _look(
     if seen.mean() < 0.1:
         return NO_OVERLAP, 0.0
     angle, usable = intersections(reference.cam_from_world, other.cam_from_world, world[seen])
-    scale = float(size_ratio * np.median(apply(reference.cam_from_world, world[seen])[:, 2] / there[seen, 2]))
+    nearer = np.median(apply(reference.cam_from_world, world[seen])[:, 2] / there[seen, 2])
+    scale = float(other.K[0, 0] / reference.K[0, 0] * nearer)
     widest = float(np.percentile(angle, 90))  # what is near can be measured though the far end cannot
     worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
     return refusal(widest, float(usable.mean()), scale, settings, tuning.partners), worth
-
-
-def _points(camera: Pinhole, sought: DepthRange) -> np.ndarray:
-    """World points (n, 3) on a grid of the camera's rays."""
-    u, v = np.meshgrid(*((np.arange(24) + 0.5) / 24 * s for s in camera.size))
-    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ np.linalg.inv(camera.K).T
-    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, 5)
-    return apply(invert(camera.cam_from_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))
 
 
 @dataclass(frozen=True)

@@ -44,11 +44,6 @@ MAX_CELLS = 800e6
 Array = Any  # of NumPy, or of the device
 
 
-def available() -> bool:
-    """Whether the native module is installed."""
-    return _sgm is not None
-
-
 def kernels() -> list[str]:
     """The native kernels that this machine runs, the fastest first; [] without the native module."""
     return [] if _sgm is None else list(_sgm.kernels())
@@ -88,11 +83,9 @@ def match_tsgm(
     tuning: Tuning,
     use: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
+    """Disparity (h, w) f4 px of each left pixel, NaN = none (``dense.engine.PairMatcher``).
 
-    left (h, w) u1; right (h, w + disparities) u1, whose column ``disparities`` lies under the left's column 0: left
-    (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities; use (h, w) bool: where the disparity
-    matters. Raises EngineMissing where the native module was not built.
+    Raises EngineMissing where the native module was not built.
     """
     return without_speckles(match(left, right, disparities, disparities, tuning.tsgm, use))
 
@@ -137,46 +130,35 @@ class _Native:
         self.halve, self.joint_greys = _sgm.halve, _sgm.joint_greys
 
     def ranges(self, coarse: Array, width: int, height: int, rules: _sgm.RangeRules) -> tuple[Array, Array]:
-        """First disparities and blocks of each pixel."""
         first, blocks, _ = _sgm.ranges(coarse, width, height, rules)
         return first, blocks
 
     def row_blocks(self, blocks: Array) -> tuple[np.ndarray, np.ndarray]:
-        """(h,) blocks of each row, and of its pixel that has most."""
         return blocks.sum(axis=1, dtype=np.int64), blocks.max(axis=1)
 
     def match_dense(
-        self,
-        left: Array,
-        right: Array,
-        span: tuple[int, int],
-        options: _sgm.Options,
-        mutual: Array | None,
-        strips: cuda.Strips,
+        self, left: Array, right: Array, span: tuple[int, int], options: Any, mutual: Array | None, strips: cuda.Strips
     ) -> Array:
-        """One range for all pixels, (lowest, number); the rows that count."""
-
-        def match(rows: slice) -> Array:
-            return _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0]
-
-        return cuda.joined([match(outer)[inner] for outer, inner in strips])
+        parts = [
+            _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0][inner]
+            for rows, inner in strips
+        ]
+        return cuda.joined(parts)
 
     def match_ragged(
         self,
         left: Array,
         right: Array,
         ranges: tuple[Array, Array],
-        options: _sgm.Options,
+        options: Any,
         mutual: Array | None,
         strips: cuda.Strips,
     ) -> Array:
-        """A range for each pixel, (first disparities, blocks of 16); the rows that count."""
-
-        def match(rows: slice) -> Array:
-            images, own = (left[rows], right[rows]), (ranges[0][rows], ranges[1][rows])
-            return _sgm.match_ragged(*images, *own, options, _workspace(), mutual)[0]
-
-        return cuda.joined([match(outer)[inner] for outer, inner in strips])
+        (first, blocks), parts = ranges, []
+        for rows, inner in strips:
+            own = left[rows], right[rows], first[rows], blocks[rows]
+            parts.append(_sgm.match_ragged(*own, options, _workspace(), mutual)[0][inner])
+        return cuda.joined(parts)
 
 
 def _match(

@@ -40,7 +40,11 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray
     to ``max_image_size``. Raises InputError for cameras that see all round.
     """
     _refuse_sphere(camera)
-    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)))
+    limit, plane = np.tan(np.radians(settings.max_fov_deg / 2)), _border(camera).reshape(-1, 2)
+    plane = plane[np.isfinite(plane).all(axis=1)]
+    if not len(plane):  # nothing bounds the field of view
+        plane = np.array([[-limit, -limit], [limit, limit]])
+    low, high = np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
     focal = _central_focal(camera)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         focal = camera.params[0]
@@ -120,15 +124,6 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
     return image
 
 
-def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
-    plane = _border(camera).reshape(-1, 2)
-    plane = plane[np.isfinite(plane).all(axis=1)]
-    if len(plane) == 0:
-        return np.array([-limit, -limit]), np.array([limit, limit])
-    return np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
-
-
 def _border(camera: CameraModel) -> np.ndarray:
     """(4, 65, 2) where rays through the sides of an image (top, bottom, left, right) meet the plane z = 1; NaN = none.
 
@@ -154,25 +149,20 @@ def _maps(camera: CameraModel, pinhole: CameraModel) -> tuple[np.ndarray, np.nda
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
     shape = pinhole.height, pinhole.width
     x, y, valid = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, bool)
+    (fx, fy, cx, cy), model = pinhole.params, camera.to_pycolmap()
     for rows in row_strips(shape):
-        x[rows], y[rows], valid[rows] = _map_rows(camera, pinhole, rows)
+        u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
+        rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
+        at = np.asarray(model.img_from_cam(rays))
+        there = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
+        back = np.asarray(model.cam_ray_from_img(np.where(there[:, None], at, 0.0)))
+        back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
+        error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
+        # A ray that comes back from the image half a pixel off lies where the distortion polynomial folds over.
+        valid[rows] = (there & (error < 0.5 * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(u.shape)
+        at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
+        x[rows], y[rows] = at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape)
     return x, y, valid
-
-
-def _map_rows(camera: CameraModel, pinhole: CameraModel, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    fx, fy, cx, cy = pinhole.params
-    u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
-    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
-    model = camera.to_pycolmap()
-    at = np.asarray(model.img_from_cam(rays))
-    there = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
-    back = np.asarray(model.cam_ray_from_img(np.where(there[:, None], at, 0.0)))
-    back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
-    error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
-    # A ray that comes back from the image half a pixel off lies where the distortion polynomial folds over.
-    valid = there & (error < 0.5 * (1 + np.sum(rays[:, :2] ** 2, axis=1)))
-    at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
-    return at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape), valid.reshape(u.shape)
 
 
 # --- a dense workspace of COLMAP --------------------------------------------------------------------------------------

@@ -37,35 +37,24 @@ _NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks li
 Map = Callable[[Callable, Sequence], Iterable]
 
 
-@dataclass(frozen=True)
-class Edges:
-    """Edges of a sky in some images: their ``length`` in pixels, and ``down``, the part of it that faces down less that
-    which faces up."""
-
-    down: float = 0.0
-    length: float = 0.0
-
-    def __add__(self, other: "Edges") -> "Edges":
-        return Edges(self.down + other.down, self.length + other.length)
-
-
-def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> Edges:
+def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> tuple[float, float]:
     """Edges of a sky (h, w) bool where it is separated from the scene, ``told`` (h, w) bool: not at the platform, nor
-    at the row below which no sky is searched."""
+    at the row below which no sky is searched. The part of their length that faces down less that which faces up, and
+    their length, pixels."""
     # Twigs and the steps of a border are no edges of their own
     down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), 5.0))
     inner = eroded(told, tuning.reach_px)
-    return Edges(float(down[inner].sum()), float(np.hypot(down, right)[inner].sum()))
+    return float(down[inner].sum()), float(np.hypot(down, right)[inner].sum())
 
 
-def not_above(edges: Mapping[int, Iterable[Edges]], tuning: LabelTuning) -> set[int]:
+def not_above(edges: Mapping[int, Sequence[tuple[float, float]]], tuning: LabelTuning) -> set[int]:
     """The cameras whose sky is none, as it does not lie above the rest: those of all level cameras are judged together.
 
-    ``edges``: of the images of each level camera, whose tops are up to within some 45 degrees; a camera that looks up
-    sees sky anywhere.
+    ``edges``: of the images of each level camera (``edges_of``), whose tops are up to within some 45 degrees; a camera
+    that looks up sees sky anywhere.
     """
-    every = sum((e for own in edges.values() for e in own), Edges())
-    return set(edges) if every.down < tuning.min_down * every.length else set()
+    down, length = (sum(e[n] for own in edges.values() for e in own) for n in (0, 1))
+    return set(edges) if down < tuning.min_down * length else set()
 
 
 @dataclass(frozen=True)
@@ -91,7 +80,7 @@ class Labels:
     places: dict[int, np.ndarray]
     low: float
     matches: MatchCounts = MatchCounts()
-    edges: Edges = Edges()
+    edges: tuple[float, float] = (0.0, 0.0)
 
 
 def first_labels(job: LabelJob) -> Labels:
@@ -106,7 +95,11 @@ def first_labels(job: LabelJob) -> Labels:
         if job.upward
         else border_sky(image, tuning.skyline, job.platform)
     )
-    if sky is None or not job.upward and not _unmatched(sky, job.matchability, own):
+    bright = sky is not None and not job.upward
+    if bright and job.matchability is not None:  # a bright wall has as many matches as other walls
+        inner = eroded(sky, own.rim_px)
+        bright = not inner[job.matchability.pixels(shape)].mean() < own.matched_sky * float(inner.mean())
+    if sky is None or bright:
         sky = np.zeros(shape, bool)
     else:  # areas well off the sky are scene or water
         pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet
@@ -134,7 +127,7 @@ def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> 
     classes = np.where(free, labels, EGO).astype(np.uint8)
     seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks}, tuning)
     told = free & (labels != WATER) & sought(labels.shape, learnt, tuning.classification)
-    edges = Edges() if seed.upward else edges_of(labels == SKY, told, tuning.labels)
+    edges = (0.0, 0.0) if seed.upward else edges_of(labels == SKY, told, tuning.labels)
     matches = MatchCounts()
     if seed.matchability is not None:
         matches = matches_in(classes, classes == SKY, seed.matchability, tuning.proof)
@@ -173,14 +166,6 @@ def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], tuning: Tuning, l
         label: cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) for label, mask in masks.items()
     }
     return Labels(looks, places, low)
-
-
-def _unmatched(sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning) -> bool:
-    """Whether the apparent sky has hardly any matching feature: a bright wall has as many as other walls."""
-    if matchability is None:
-        return False
-    inner = eroded(sky, tuning.rim_px)
-    return float(inner[matchability.pixels(sky.shape)].mean()) < tuning.matched_sky * float(inner.mean())
 
 
 def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
@@ -258,7 +243,9 @@ def _proven(
     """The second learning, without refuted skies; without any sky, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
     known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.labels)
-    refuted = _refuted(jobs, seeds, upward, tuning)
+    ties = {k: sum(_of(k, jobs, [s.matches for s in seeds]), MatchCounts()) for k in first}
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in set(first) - upward}, tuning.labels)
+    refuted = dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(without_sky(ties, tuning.proof), _NEAR)
     white = white_ties((s.matches for s in seeds), tuning.proof)
     dry = not asked and set(refuted) >= set(first) - upward
     made = {}
@@ -268,15 +255,6 @@ def _proven(
         water = None if dry else learnt.water
         made[k] = replace(learnt, table=table, sky=sky, water=water, no_sky=refuted.get(k, ""), white_matches=white)
     return made
-
-
-def _refuted(jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int], tuning: Tuning) -> dict[int, str]:
-    """The cameras whose sky is refuted, and by what."""
-    cameras = {job.camera for job in jobs}
-    ties = {k: sum(_of(k, jobs, [s.matches for s in seeds]), MatchCounts()) for k in cameras}
-    near = without_sky(ties, tuning.proof)
-    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.labels)
-    return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 
 def _of(camera: int, jobs: Sequence[LabelJob], items: Sequence) -> list:

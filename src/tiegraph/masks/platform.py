@@ -112,7 +112,12 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
 def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Length (h, w) of the mean direction of the gradients over the frames; shares (h, w) of the frames whose gradient
     departs from that of the others, and which have texture."""
-    unit = [_unit_gradient(f, tuning) for f in frames]
+    unit = []
+    for frame in frames:
+        smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
+        x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
+        size = np.sqrt(x * x + y * y) + 14.0  # a gradient this strong counts half (Sobel gain 8)
+        unit.append((x / size, y / size))
     sum_x, sum_y = sum(u[0] for u in unit), sum(u[1] for u in unit)
     departs, textured, strength = np.zeros((3, *frames[0].shape), np.float32)
     for x, y in unit:
@@ -128,13 +133,6 @@ def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[n
     length = np.sqrt(sum_x**2 + sum_y**2) / count
     coherence = np.where(strength > 0.3, length / (strength + 0.15), 0)  # weak edges are less coherent
     return coherence, departs / count, textured / count
-
-
-def _unit_gradient(frame: np.ndarray, tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
-    smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
-    x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
-    size = np.sqrt(x * x + y * y) + 14.0  # a gradient this strong counts half (Sobel gain 8)
-    return x / size, y / size
 
 
 def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:

@@ -123,31 +123,20 @@ def without_points(classes: np.ndarray, points: np.ndarray, tuning: SkyPointsTun
     column, row = (points * (width, height)).astype(int).T
     hit[row.clip(0, height - 1), column.clip(0, width - 1)] = 1
     outside = float(hit[sky == 0].mean())
-    apart = cv2.morphologyEx(sky, cv2.MORPH_OPEN, _square(tuning.joint, sky.shape))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(apart, connectivity=4)
+    joint, hole, edge = (_square(share, sky.shape) for share in (tuning.joint, tuning.hole, tuning.edge))
+    count, labels = cv2.connectedComponents(cv2.morphologyEx(sky, cv2.MORPH_OPEN, joint), connectivity=4)
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
-        window = _window(stats[piece], sky.shape, tuning.hole)
-        if np.count_nonzero(hit[window]) < tuning.least_points:
-            continue
-        own = labels[window] == piece
-        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, _square(tuning.hole, sky.shape))
-        inner = cv2.erode(filled, _square(tuning.edge, sky.shape), borderValue=1) > 0
-        found = int(hit[window][inner].sum())
+        own = labels == piece
+        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, hole)
+        inner = cv2.erode(filled, edge, borderValue=1) > 0
+        found = int(hit[inner].sum())
         if found >= tuning.least_points and found > tuning.dense * outside * inner.sum():
-            solid[window] |= own
-    grown = cv2.dilate(solid.astype(np.uint8), _square(tuning.joint, sky.shape)) > 0  # what the opening took off
+            solid |= own
+    grown = cv2.dilate(solid.astype(np.uint8), joint) > 0  # what the opening took off
     return np.where(grown & (sky > 0), USE, classes).astype(np.uint8)
 
 
 def _square(share: float, shape: tuple[int, ...]) -> np.ndarray:
     side = 2 * round(share * max(shape) / 2) + 1
     return np.ones((side, side), np.uint8)
-
-
-def _window(stats: np.ndarray, shape: tuple[int, ...], share: float) -> tuple[slice, slice]:
-    """The box of a piece, with room for closing it, a ``share`` of the longer side."""
-    room = round(share * max(shape))
-    left, top = max(0, stats[cv2.CC_STAT_LEFT] - room), max(0, stats[cv2.CC_STAT_TOP] - room)
-    right = stats[cv2.CC_STAT_LEFT] + stats[cv2.CC_STAT_WIDTH] + room
-    return slice(top, stats[cv2.CC_STAT_TOP] + stats[cv2.CC_STAT_HEIGHT] + room), slice(left, right)

@@ -113,8 +113,7 @@ def check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None,
 
 
 def _folder(image: Path, prepared: None, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
-    if settings.folder is None:
-        raise InputError("masks.source = folder needs masks.folder: where the masks are")
+    assert settings.folder is not None  # by the settings
     return read_folder_mask(settings.folder, name, image_size(image), settings.keep_labels)
 
 
@@ -218,8 +217,7 @@ def _session(onnx: Path) -> Any:
 
 
 def _read_model(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> Model:
-    if settings.model is None:
-        raise InputError("masks.source = model needs masks.model: the TOML file of your segmentation model")
+    assert settings.model is not None  # by the settings
     return read_model(settings.model)
 
 

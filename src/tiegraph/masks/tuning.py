@@ -14,8 +14,11 @@ class FramesTuning(Section):
 
     work_px: int = Field(640, gt=0)
     """Longer side at which masks are computed; all sizes in pixels refer to it where they name no other."""
-    look_px: int = Field(320, gt=0)
-    """Longer side at which appearance is learnt and looked up, and two frames are compared for motion."""
+
+    @property
+    def look_px(self) -> int:
+        """Longer side at which appearance is learnt and looked up, and two frames are compared for motion."""
+        return self.work_px // 2
 
 
 class QualityTuning(Section):

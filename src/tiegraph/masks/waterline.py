@@ -49,7 +49,11 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
     if ego is not None:
         platform = cv2.resize(ego.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA) > 0.3
     matched[platform] = missed[platform] = 0
-    rate, in_water = _scene_rate(matched, missed, tuning), tuning.water_rate
+    # Share of the scene's features that match in each column of the map
+    upper = slice(0, int(0.6 * rows))  # in the upper part there is little water
+    good, every = (cv2.GaussianBlur(m[upper].sum(axis=0)[None], (0, 0), 3.0)[0] for m in (matched, matched + missed))
+    rate = np.clip(good / np.maximum(every, 1e-6), tuning.min_scene_rate, tuning.max_scene_rate)
+    in_water = tuning.water_rate
     exact = matched * np.log(in_water / rate) + missed * np.log((1 - in_water) / (1 - rate))
     cells = 2 * np.pi * tuning.reach_cells**2
     says = cv2.GaussianBlur(exact, (0, 0), tuning.reach_cells) * cells * 0.25
@@ -58,13 +62,6 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
     zone = without_small(zone & (top >= tuning.highest * rows)[None], tuning.min_area * zone.size)
     prior = np.clip(says, -tuning.prior_clip, tuning.prior_clip)
     return Zone(zone, prior, float(exact[zone].sum()))
-
-
-def _scene_rate(matched: np.ndarray, missed: np.ndarray, tuning: WaterTuning) -> np.ndarray:
-    """Share (columns,) f4 of the scene's features that match in each column of the map."""
-    upper = slice(0, int(0.6 * len(matched)))  # in the upper part there is little water
-    good, every = (cv2.GaussianBlur(m[upper].sum(axis=0)[None], (0, 0), 3.0) for m in (matched, matched + missed))
-    return np.clip(good[0] / np.maximum(every[0], 1e-6), tuning.min_scene_rate, tuning.max_scene_rate)
 
 
 def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: WaterTuning) -> dict[int, np.ndarray]:

@@ -71,8 +71,11 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     corners = mesh.corners
     with np.errstate(invalid="ignore"):
         there = (z > 0) & (xy >= 0).all(axis=1) & (xy <= camera.size).all(axis=1)
+        out = [xy[:, 0] < 0, xy[:, 1] < 0, xy[:, 0] > camera.size[0], xy[:, 1] > camera.size[1]]
     faces = np.flatnonzero(there[corners].all(axis=1))
-    depth = _drawn(xy / scale, z, corners[_touching(xy, z, camera.size, corners)], size[::-1])
+    beside = np.any([side[corners].all(axis=1) for side in out], axis=0)
+    touching = (z > 0)[corners].all(axis=1) & ~beside
+    depth = _drawn(xy / scale, z, corners[touching], size[::-1])
     middle = mesh.xyz[corners[faces]].mean(axis=1)
     towards = transforms.centre(camera.cam_from_world) - middle
     distance = np.linalg.norm(towards, axis=1)
@@ -89,22 +92,17 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
         column, row = (np.clip((place / scale).astype(int)[:, a], 0, size[a] - 1) for a in (0, 1))
         plain &= there <= depth[row, column] + play
         free &= there <= depth[row, column] + play + rough
-    confirmed = _confirmed(own, at, deep, play, size, scale, tuning)
-    away = _away(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
+    confirmed = _confirmed(own, at, deep, play, camera.size, tuning)
+    # Distance to the image border or mask as a share of the shorter side, 0 = masked
+    usable = np.pad(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999, 1)
+    away = cv2.distanceTransform(usable.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / min(size)
+    away = away[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
     free &= (away > 0) & (confirmed >= 0)
     inner = np.minimum(1.0, away / tuning.border)
     share = _share_around(at / scale, confirmed, size)
     quality = front**tuning.angle_power / pixel * inner * (tuning.unconfirmed + share)
     quality *= np.where(plain, 1.0, tuning.nearly)
     return Seen(faces[free], quality[free].astype(np.float32))
-
-
-def _touching(xy: np.ndarray, z: np.ndarray, size: tuple[int, int], corners: np.ndarray) -> np.ndarray:
-    """Which faces before the camera may touch the image."""
-    with np.errstate(invalid="ignore"):
-        out = [xy[:, 0] < 0, xy[:, 1] < 0, xy[:, 0] > size[0], xy[:, 1] > size[1]]
-    beside = np.any([side[corners].all(axis=1) for side in out], axis=0)
-    return np.asarray((z > 0)[corners].all(axis=1) & ~beside)
 
 
 def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -118,27 +116,14 @@ def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int,
     return cv2.erode(depth, np.ones((3, 3), np.uint8))
 
 
-def _away(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(h, w) distance to the image border or mask as a share of the shorter side, 0 = masked."""
-    usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-    padded = np.pad(usable.astype(np.uint8), 1)
-    return cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / min(size)
-
-
 def _confirmed(
-    own: DepthMap | None,
-    at: np.ndarray,
-    deep: np.ndarray,
-    play: np.ndarray,
-    size: tuple[int, int],
-    scale: np.ndarray,
-    tuning: ViewTuning,
+    own: DepthMap | None, at: np.ndarray, deep: np.ndarray, play: np.ndarray, size: tuple[int, int], tuning: ViewTuning
 ) -> np.ndarray:
     """(N,) 1 where the image's own depth is that of the places, 0 where it has none, -1 where it lies before them."""
     if own is None:
         return np.zeros(len(at))
     high, wide = own.depth_m.shape
-    ratio = np.array([wide, high]) / (np.array(size) * scale)
+    ratio = np.array([wide, high]) / np.array(size)
     column, row = (np.clip((at * ratio).astype(int)[:, a], 0, (wide, high)[a] - 1) for a in (0, 1))
     behind = deep - own.depth_m[row, column]
     close = play * max(1.0, 1 / float(ratio.min())) + tuning.shade_sigmas * own.sigma_m[row, column]

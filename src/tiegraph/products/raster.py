@@ -118,7 +118,13 @@ def write_raster(
         "nodata": kind.nodata, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "IF_SAFER",
     }  # fmt: skip
     with replacing(raw) as temporary, rasterio.open(temporary, "w", **profile) as out:
-        _describe(out, kind, surface, place)
+        out.descriptions = kind.bands
+        if kind.lengths:
+            out.units = (place.unit,)
+        if "alpha" in kind.bands:
+            out.colorinterp = [ColorInterp[name] for name in kind.bands]
+        told = {"software": "tiegraph", "surface": surface.name, "accuracy": place.said, "unit": place.unit}
+        out.update_tags(**told, surface_from_crs=json.dumps(place.frame(surface).tolist()))
         for window, values in parts:
             known = np.where(np.isfinite(values), values, NODATA) if kind.lengths else values
             known = known.reshape(len(kind.bands), window.rows, window.columns)
@@ -130,16 +136,6 @@ def write_raster(
     with replacing(path) as temporary:
         rasterio.shutil.copy(raw, temporary, driver="COG", **packed, **made)
     remove(raw)
-
-
-def _describe(out: rasterio.io.DatasetWriter, kind: Kind, surface: Surface, place: Place) -> None:
-    out.descriptions = kind.bands
-    if kind.lengths:
-        out.units = (place.unit,)
-    if "alpha" in kind.bands:
-        out.colorinterp = [ColorInterp[name] for name in kind.bands]
-    told = {"software": "tiegraph", "surface": surface.name, "accuracy": place.said, "unit": place.unit}
-    out.update_tags(**told, surface_from_crs=json.dumps(place.frame(surface).tolist()))
 
 
 def read_window(path: Path, window: Window, step: int = 1) -> np.ndarray:
@@ -192,7 +188,12 @@ def relief(path: Path, width: int, unit: str, lines: Sequence[Line] = ()) -> byt
     light = np.where(shade > 0, 0.35 + 0.9 * shade, 1.0)  # no shade at the edge of the known area
     drawn = np.where(known[..., None], np.clip(tint * light, 0, 255), 255).astype(np.uint8)
     for line in lines:
-        _draw(drawn, (line.uv - [to_file.c, to_file.f]) / [pixel, -pixel], line)
+        at = (line.uv - [to_file.c, to_file.f]) / [pixel, -pixel]
+        vertices = np.rint((at - 0.5) * (1 << _BITS)).astype(np.int32)
+        thick = 2 if line.index else 1
+        cv2.polylines(drawn, [vertices], False, _INK, thickness=thick, lineType=cv2.LINE_AA, shift=_BITS)
+        if line.index and np.linalg.norm(np.diff(at, axis=0), axis=1).sum() > _LABELLED_PX:
+            _write(drawn, f"{line.w:g}", at[len(at) // 2].astype(int))
     return _jpeg(np.concatenate([drawn, _scale(drawn.shape[1], low, high, unit)]))
 
 
@@ -208,15 +209,6 @@ def _jpeg(bgr: np.ndarray) -> bytes:
 def _tints(share: np.ndarray) -> np.ndarray:
     """BGR (rows, columns, 3) of values (rows, columns), 0 to 1."""
     return cv2.applyColorMap(np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8), cv2.COLORMAP_VIRIDIS).astype(float)
-
-
-def _draw(bgr: np.ndarray, at: np.ndarray, line: Line) -> None:
-    """Draw a contour line at pixels (N, 2), an index line thick and with its height."""
-    vertices = np.rint((at - 0.5) * (1 << _BITS)).astype(np.int32)
-    thick = 2 if line.index else 1
-    cv2.polylines(bgr, [vertices], False, _INK, thickness=thick, lineType=cv2.LINE_AA, shift=_BITS)
-    if line.index and np.linalg.norm(np.diff(at, axis=0), axis=1).sum() > _LABELLED_PX:
-        _write(bgr, f"{line.w:g}", at[len(at) // 2].astype(int))
 
 
 def _write(bgr: np.ndarray, text: str, middle: np.ndarray) -> None:

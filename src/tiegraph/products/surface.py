@@ -267,7 +267,9 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     resolve."""
     own = survey.sample.xyz_m[_inside(surface, survey.sample)]
     own = own[evenly(len(own), _ASKED)]
-    sizes = _resolved(own, survey.views)
+    sizes = np.full(len(own), np.nan)  # of a pixel of the nearest image that sees a point
+    for view in survey.views:
+        sizes = np.fmin(sizes, project(view.camera, own)[2] / focal(view.camera))
     gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
     pixel = settings.pixel_m or rounded_up(max(gsd, survey.spacing / 2), _SERIES)
     near = sizes <= tuning.coarsest * pixel
@@ -285,11 +287,3 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     low[:2] = np.floor((low + offset)[:2] / pixel + 1e-6) * pixel - offset[:2]
     high[:2] = np.ceil((high + offset)[:2] / pixel - 1e-6) * pixel - offset[:2]
     return replace(surface, surface_from_world=frame, low=low, high=high, pixel_m=pixel, offset=offset)
-
-
-def _resolved(xyz: np.ndarray, views: Sequence[View]) -> np.ndarray:
-    """Size (M,) of a pixel of the nearest image at points (M, 3); NaN where no image sees one."""
-    sizes = np.full(len(xyz), np.nan)
-    for view in views:
-        sizes = np.fmin(sizes, project(view.camera, xyz)[2] / focal(view.camera))
-    return sizes

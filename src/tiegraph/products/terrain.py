@@ -150,15 +150,11 @@ def ground(w: np.ndarray, sigma: np.ndarray, low: Terrain, window: Window, tunin
 
 def ground_cells(w: np.ndarray, sigma: np.ndarray, on_ground: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
     """Mean w and sigma (rows, columns) of the cells of which half of the pixels are ground, NaN = others."""
-    half = np.isfinite(_blocks(np.where(on_ground, w, np.nan), step)).mean(axis=-1) >= 0.5
-    with np.errstate(invalid="ignore"):
-        found = [_mean(_blocks(np.where(on_ground, v, np.nan), step)) for v in (w, sigma)]
+    blocks = [_blocks(np.where(on_ground, values, np.nan), step) for values in (w, sigma)]
+    half = np.isfinite(blocks[0]).mean(axis=-1) >= 0.5
+    counts = [np.maximum(np.isfinite(b).sum(axis=-1), 1) for b in blocks]
+    found = [np.nansum(b, axis=-1, dtype=float) / n for b, n in zip(blocks, counts)]
     return np.where(half, found[0], np.nan), np.where(half, found[1], np.nan)
-
-
-def _mean(values: np.ndarray) -> np.ndarray:
-    known = np.isfinite(values)
-    return np.where(known, values, 0.0).sum(axis=-1, dtype=float) / np.maximum(known.sum(axis=-1), 1)
 
 
 def margin(step: int, tuning: TerrainTuning) -> int:

@@ -252,6 +252,8 @@ def volumes(patch: Patch, base: Base, polygon: np.ndarray, known: Known, tuning:
     if base.other is not None:
         surfaces.append((base.other[0], *shared_errors(base.other[0], tuning)))
     own = np.sqrt(sum(np.nan_to_num(p.sigma) ** 2 for p, *_ in surfaces))
+    away = np.abs(high) / np.maximum(own, 1e-9)
+    near_base = float(np.sum(area * own * (norm.pdf(away) - away * norm.sf(away)))) / (np.sqrt(2) - 1)
     out = {}
     for name, sign, there in (("cut", 1, high > 0), ("fill", -1, high < 0), ("net", 1, area > 0)):
         c = np.where(there, area, 0.0)
@@ -270,7 +272,7 @@ def volumes(patch: Patch, base: Base, polygon: np.ndarray, known: Known, tuning:
             variance["world"] += 0.0 if how.placed is None else by_other @ how.placed.covariance @ by_other
             variance["shape"] += (how.whole * c.sum()) ** 2
         parts = {k: float(np.sqrt(max(v, 0.0))) for k, v in variance.items()}
-        parts["near_base"] = 0.0 if name == "net" else _near_base(area, high, own)
+        parts["near_base"] = 0.0 if name == "net" else near_base
         sigma = float(np.sqrt(sum(variance.values()))) + parts["near_base"]
         out[name] = Volume(float(sign * np.sum(c * high)), sigma, parts)
     return out
@@ -282,11 +284,6 @@ def _noise(c: np.ndarray, sigma: np.ndarray, together: float, rest: float) -> fl
     return min(together * float(np.sum(each**2)) * (1 - rest), all_one) + rest * all_one
 
 
-def _near_base(area: np.ndarray, high: np.ndarray, sigma: np.ndarray) -> float:
-    away = np.abs(high) / np.maximum(sigma, 1e-9)
-    return float(np.sum(area * sigma * (norm.pdf(away) - away * norm.sf(away)))) / (np.sqrt(2) - 1)
-
-
 def area_of(polygon: np.ndarray) -> float:
     """Area of a polygon (N, 2)."""
     x, y = (polygon - polygon.mean(axis=0)).T
@@ -296,24 +293,18 @@ def area_of(polygon: np.ndarray) -> float:
 def crossing(polygon: np.ndarray) -> tuple[int, int] | None:
     """Two sides of a polygon (N, 2) that cross or touch, by their first vertices; None if none do."""
     a, b = polygon, np.roll(polygon, -1, axis=0)
-    along = b - a
+    along, low, high, count = b - a, np.minimum(a, b), np.maximum(a, b), len(polygon)
 
     def side(k: int, points: np.ndarray) -> np.ndarray:
         off = points - a[k]
         return np.sign(along[k, 0] * off[:, 1] - along[k, 1] * off[:, 0])
 
-    count = len(polygon)
     turns = np.array([side(k, a) * side(k, b) <= 0 for k in range(count)])
-    for i, j in np.argwhere(turns & turns.T):
-        apart = min((i - j) % count, (j - i) % count)
-        if i < j and apart > 1 and _boxes_meet(polygon, int(i), int(j)):
+    overlap = (low[:, None] <= high).all(axis=2)  # of the boxes around the sides, if it holds both ways
+    for i, j in np.argwhere(turns & turns.T & overlap & overlap.T):
+        if i < j and min(j - i, (i - j) % count) > 1:
             return int(i), int(j)
     return None
-
-
-def _boxes_meet(polygon: np.ndarray, i: int, j: int) -> bool:
-    one, two = (polygon[[k, (k + 1) % len(polygon)]] for k in (i, j))
-    return bool(np.all(one.min(axis=0) <= two.max(axis=0)) and np.all(two.min(axis=0) <= one.max(axis=0)))
 
 
 # --- profiles ---------------------------------------------------------------------------------------------------------
