@@ -120,7 +120,7 @@ def test_paper_001_table_2_on_the_example_survey(canal, tmp_path):
     truth = canal / "truth" / "masks"
     if not truth.is_dir():
         pytest.skip("no true masks in the example survey")
-    accuracy = {}
+    accuracy, cameras = {}, {}
     for name in ("meguro2024", "meguro2025"):
         for camera in ("cam0", "cam1", "cam3", "cam5"):
             images = sorted((canal / "images").glob(f"*/{camera}/*.jpg"))
@@ -128,7 +128,8 @@ def test_paper_001_table_2_on_the_example_survey(canal, tmp_path):
             for path, mask in zip(chosen, all_masks(name, chosen)):
                 relative = path.relative_to(canal / "images")
                 write(tmp_path / name / f"{relative}.png", np.where(mask, 255, 0).astype(np.uint8))
-        accuracy[name] = compare(tmp_path / name, truth, keep_labels=(4,)).rows[-1].accuracy
+                cameras[relative.as_posix()] = camera
+        accuracy[name] = compare(tmp_path / name, truth, cameras, keep_labels=(4,)).rows[-1].accuracy
     assert 0.45 < accuracy["meguro2024"] < accuracy["meguro2025"] < 0.9
     assert accuracy["meguro2025"] > 0.62
 

@@ -174,20 +174,16 @@ class MaskComparison:
         }
 
 
-def compare(
-    found: Path, truth: Path, cameras: Mapping[str, str] | None = None, keep_labels: Sequence[int] = ()
-) -> MaskComparison:
-    """Compare the masks of two folders, found by image name as in ``folder.candidates``.
+def compare(found: Path, truth: Path, cameras: Mapping[str, str], keep_labels: Sequence[int] = ()) -> MaskComparison:
+    """Compare the masks of two folders, found by image name as in ``candidates``; ``cameras``: image name -> camera.
 
-    ``cameras``: image name -> camera; None takes the images ``found`` has masks <name>.png for, and their folder's name
-    as camera. Images without a true mask are left out, and so are those of which a mask is missing, unreadable or of
-    another size (``unfit``). ``keep_labels``: the useful labels if ``truth`` has class labels. Raises InputError if
-    nothing can be compared.
+    Images without a true mask are left out, and so are those of which a mask is missing, unreadable or of another size
+    (``unfit``). ``keep_labels``: the useful labels if ``truth`` has class labels. Raises InputError if nothing can be
+    compared.
     """
-    names = _names(found) if cameras is None else dict(cameras)
     sums: dict[str, np.ndarray] = {}
     unfit: list[str] = []
-    for name, camera in sorted(names.items()):
+    for name, camera in sorted(cameras.items()):
         true_path, path = find_mask(truth, name), find_mask(found, name)
         if true_path is None:
             continue
@@ -203,7 +199,7 @@ def compare(
         except InputError as error:
             unfit.append(str(error))
     if not sums:
-        none = f"{truth}: no true mask for any of {len(names)} images of {found}: are these the right folders?"
+        none = f"{truth}: no true mask for any of {len(cameras)} images of {found}: are these the right folders?"
         raise InputError(unfit[0] if unfit else none)
     rows = [_row(camera, sums[camera]) for camera in sorted(sums)]
     return MaskComparison((*rows, _row(ALL, np.sum(list(sums.values()), axis=0))), tuple(unfit))
@@ -224,9 +220,7 @@ class ClassComparison:
         return {"columns": heads, "rows": [[camera, *_percent(own)] for camera, own in zip(self.rows, self.iou)]}
 
 
-def compare_classes(
-    found: Path, truth: Path, labels: Mapping[str, int], cameras: Mapping[str, str] | None = None
-) -> ClassComparison:
+def compare_classes(found: Path, truth: Path, labels: Mapping[str, int], cameras: Mapping[str, str]) -> ClassComparison:
     """Compare the classes <name>.png of a folder with labels, each class ``masks.NAMES`` with its true label.
 
     Images without labels are left out; classes are brought to the size of the labels. Raises InputError if a class is
@@ -236,7 +230,7 @@ def compare_classes(
     if unknown:
         raise InputError(f"there is no class {unknown[0]!r}: the classes are {', '.join(NAMES[1:])}")
     sums: dict[str, np.ndarray] = {}
-    for name, camera in sorted((_names(found) if cameras is None else dict(cameras)).items()):
+    for name, camera in sorted(cameras.items()):
         path = find_mask(truth, name)
         if path is None or not (found / f"{name}.png").is_file():
             continue
@@ -259,13 +253,6 @@ def table_text(table: dict) -> str:
     return "\n".join(
         "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, wide))) for line in lines
     )
-
-
-def _names(found: Path) -> dict[str, str]:
-    if not Path(found).is_dir():
-        raise InputError(f"{found}: there is no such folder of masks")
-    names = [p.relative_to(found).as_posix()[: -len(".png")] for p in Path(found).rglob("*.png")]
-    return {n: PurePosixPath(n).parent.name or "camera" for n in names}
 
 
 def _row(camera: str, counts: np.ndarray) -> MaskRow:

@@ -95,11 +95,11 @@ def first_labels(job: LabelJob) -> Labels:
         if job.upward
         else border_sky(image, tuning.skyline, job.platform)
     )
-    bright = sky is not None and not job.upward
-    if bright and job.matchability is not None:  # a bright wall has as many matches as other walls
-        inner = eroded(sky, own.rim_px)
-        bright = not inner[job.matchability.pixels(shape)].mean() < own.matched_sky * float(inner.mean())
-    if sky is None or bright:
+    wall = sky is not None and not job.upward  # until its matches say that it is sky
+    if wall and job.matchability is not None:  # a bright wall has as many as other walls
+        inner = eroded(sky, tuning.skyline.inner_px)
+        wall = not inner[job.matchability.pixels(shape)].mean() < own.matched_sky * float(inner.mean())
+    if sky is None or wall:
         sky = np.zeros(shape, bool)
     else:  # areas well off the sky are scene or water
         pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet

@@ -124,7 +124,8 @@ class SkylineTuning(Section):
     rim_px: int = Field(3, gt=0)
     """Side of the square by which an accepted sky, and each calm area above an upward camera, loses its rim."""
     inner_px: int = Field(5, gt=0)
-    """Side of the square over which texture is measured, and by which a sky is shrunk before."""
+    """Side of the square over which texture is measured, and by which a sky is shrunk before its texture is, or its
+    matched features are counted."""
 
 
 class LabelTuning(Section):
@@ -137,8 +138,6 @@ class LabelTuning(Section):
     """Images of each camera, however many there are."""
     matched_sky: float = Field(0.25, ge=0)
     """Matched features on a sky, as a share of those on an equal area of the image: with more it is none."""
-    rim_px: int = Field(5, gt=0)
-    """Side of the square by which a sky is shrunk before its matched features are counted."""
     lower: float = Field(0.15, ge=0, le=1)
     """Share of the height, below all known sky: from there on is the ground ..."""
     wide: float = Field(0.12, ge=0, le=1)
