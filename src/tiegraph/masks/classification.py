@@ -149,22 +149,18 @@ def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning
     guide, size = light[part].astype(np.float32), (labels.shape[1], len(labels[part]))
     half = (max(1, size[0] // 2), max(1, size[1] // 2))
     small, share = (cv2.resize(x, half, interpolation=cv2.INTER_AREA) for x in (guide, sky[part].astype(np.float32)))
-    slope, shift = _lines(small, share, tuning)
+    # The line that gives the share of sky from the brightness round each pixel
+    around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
+    mean, mean_share = cv2.blur(small, around), cv2.blur(share, around)
+    spread = cv2.blur(small * small, around) - mean * mean
+    # Brightness of sky and scene differ by more, or the edge hardly moves
+    slope = (cv2.blur(small * share, around) - mean * mean_share) / (spread + 8.0**2)
+    slope, shift = cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
     like = cv2.resize(slope, size) * guide + cv2.resize(shift, size) > 0.5
     told = band[part] & ((labels[part] == SKY) | (labels[part] == USE))
     found = labels.copy()
     found[part] = np.where(told, np.where(like, SKY, USE), labels[part])
     return found
-
-
-def _lines(guide: np.ndarray, share: np.ndarray, tuning: ClassificationTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Slope and shift (h, w) f4 of the line that gives the share of sky from the brightness round each pixel."""
-    around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
-    mean, mean_share = cv2.blur(guide, around), cv2.blur(share, around)
-    spread = cv2.blur(guide * guide, around) - mean * mean
-    # Brightness of sky and scene differ by more, or the edge hardly moves
-    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + 8.0**2)
-    return cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
 
 
 def _grown(sky: np.ndarray, brightness: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:

@@ -60,7 +60,13 @@ def pair_matchability(pair: tuple[Path, Path], tuning: MatchabilityTuning) -> tu
     chosen = np.flatnonzero(good & moved)
     if len(chosen) < tuning.min_inliers:
         return ()
-    found = chosen[_agreeing(xy_a[chosen], xy_b[partner[chosen]], tuning)]
+    cv2.setRNGSeed(_SEED)
+    try:  # which of the matches one epipolar geometry explains
+        how = cv2.USAC_MAGSAC, tuning.epipolar_px, _CONFIDENCE, _TRIALS
+        _, inliers = cv2.findFundamentalMat(xy_a[chosen], xy_b[partner[chosen]], *how)
+    except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
+        inliers = None
+    found = chosen[:0] if inliers is None else chosen[inliers.ravel() > 0]
     if len(found) < tuning.min_inliers:
         return ()
     at_a, at_b = xy_a[found], xy_b[partner[found]]
@@ -80,16 +86,6 @@ def _shown(
     _, next_to = cKDTree(here).query(xy, tuning.around)
     gone = xy + (there - here)[next_to].mean(axis=1)
     return ((gone >= 0) & (gone < shape[::-1])).all(axis=1)
-
-
-def _agreeing(a: np.ndarray, b: np.ndarray, tuning: MatchabilityTuning) -> np.ndarray:
-    """Which of the matches (K, 2) one epipolar geometry explains, (K,) bool."""
-    cv2.setRNGSeed(_SEED)
-    try:
-        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, tuning.epipolar_px, _CONFIDENCE, _TRIALS)
-    except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
-        return np.zeros(len(a), bool)
-    return np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
 
 
 def _seen(image: Path, xy: np.ndarray, found: np.ndarray, near: np.ndarray, shown: np.ndarray) -> Matchability:

@@ -90,7 +90,11 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     shaking = edges & (shake > 0.7)  # a coherent edge that shakes by more px moves
     departs, textured = (_blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (departs, textured))
     moving = departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
-    low, high = _range(frames, tuning)
+    # Darkest and brightest grey of each pixel over the frames, some left out at either end
+    half = [_blur(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), 1.0) for f in frames]
+    percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
+    extremes = np.percentile(np.stack(half), percent, axis=0).astype(np.float32)
+    low, high = (cv2.resize(grey_level, frames[0].shape[::-1]) for grey_level in extremes)
     steady = high - low < 14.0  # black boxes, burnt-out decks
     inside = _outlined((moving < tuning.moving) & ~fixed, fixed, tuning)
     platform = inside | fixed
@@ -154,15 +158,6 @@ def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarra
     steps = [np.hypot(_blur((d - median) * x, around), _blur((d - median) * y, around)) / energy for d in detail]
     rank = int(0.7 * (len(steps) - 1))
     return np.partition(np.stack(steps), rank, axis=0)[rank]
-
-
-def _range(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Darkest and brightest grey (h, w) f4 of each pixel over the frames, some left out at either end."""
-    half = [cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for f in frames]
-    percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
-    low, high = np.percentile(np.stack([_blur(h, 1.0) for h in half]), percent, axis=0)
-    shape = frames[0].shape[::-1]
-    return cv2.resize(low.astype(np.float32), shape), cv2.resize(high.astype(np.float32), shape)
 
 
 def _long(edges: np.ndarray) -> np.ndarray:

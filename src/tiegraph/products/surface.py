@@ -156,7 +156,11 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
     wants_map = settings.make in ("map", "both") or (auto and down >= tuning.down)
     given = settings.plane is not None and settings.make != "map"
     wants_walls = settings.make in ("elevations", "both") or (auto and sideways >= tuning.least_sideways)
-    found = [_map(survey)] if wants_map else []
+    found = []
+    if wants_map:
+        low, high = survey.sample.xyz_m[:, 2].min(), survey.sample.xyz_m[:, 2].max()
+        beyond, out = high - low, np.array([np.inf, np.inf])  # a sample lacks the highest
+        found.append(Surface(MAP, np.eye(4), low=np.append(-out, low - beyond), high=np.append(out, high + beyond)))
     if given:
         found.append(_given(survey, settings.plane, tuning))  # type: ignore[arg-type]
     elif wants_walls:
@@ -171,13 +175,6 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
     shares = [f"{s.name}: {s.share:.0%} of the points" for s in made if np.isfinite(s.share)]
     sizes = [f"{s.name}: {s.shape[1]} x {s.shape[0]} pixels of {s.pixel_m:g} {survey.unit}" for s in made]
     return made, [*why, *shares, *sizes]
-
-
-def _map(survey: Survey) -> Surface:
-    low, high = survey.sample.xyz_m[:, 2].min(), survey.sample.xyz_m[:, 2].max()
-    beyond = high - low  # a sample lacks the highest
-    out = np.array([np.inf, np.inf])
-    return Surface(MAP, np.eye(4), low=np.append(-out, low - beyond), high=np.append(out, high + beyond))
 
 
 def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:

@@ -88,24 +88,18 @@ def bare(low: np.ndarray, noise: float, cell_m: float, objects_m: float, tuning:
     if not known.any():
         return low
     last = (low - np.median(low[known])).astype(np.float32)
-    stands = np.zeros(low.shape, bool)
+    stands, far = np.zeros(low.shape, bool), np.float32(1e9)
     for radius in range(1, int(np.ceil(objects_m / 2 / cell_m)) + 1):
-        opened = _opened(last, known, radius)
+        # The opening by a disc of so many cells, of the known ones alone
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+        lowest = cv2.erode(np.where(known, last, far), disc, borderValue=float(far))
+        highest = cv2.dilate(np.where(lowest < far / 2, lowest, -far), disc, borderValue=-float(far))
+        opened = np.where(known, highest, np.nan)
         with np.errstate(invalid="ignore"):
             stands |= last - opened > tuning.slope * radius * cell_m + tuning.noise_sigmas * noise
         last = opened
     beside = cv2.dilate(stands.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # its other half, or adjoining objects
     return np.where(beside, np.nan, low)
-
-
-def _opened(w: np.ndarray, known: np.ndarray, radius: int) -> np.ndarray:
-    """The opening of w by a disc of so many cells, of the known ones alone."""
-    size = 2 * radius + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    far = np.float32(1e9)
-    lowest = cv2.erode(np.where(known, w, far), disc, borderValue=float(far))
-    highest = cv2.dilate(np.where(lowest < far / 2, lowest, -far), disc, borderValue=-float(far))
-    return np.where(known, highest, np.nan)
 
 
 def footprint(known: np.ndarray) -> np.ndarray:
