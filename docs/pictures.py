@@ -10,7 +10,7 @@ import numpy as np
 
 import tiegraph
 from tiegraph.geometry.transforms import rigid
-from tiegraph.mesh.fragments import fragments
+from tiegraph.mesh.views import fragments
 from tiegraph.report.cloudview import standard_views
 
 FOLDER = Path(__file__).with_name("pictures")

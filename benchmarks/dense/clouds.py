@@ -34,13 +34,10 @@ from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.depth import confirmed_map
-from tiegraph.dense.engine import propose, solve
-from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.plan import ImagePlan
+from tiegraph.dense.engine import Candidates, propose, solve
+from tiegraph.dense.plan import ImagePlan, plan_images
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import MAX_CELLS, match_sgbm
-from tiegraph.dense.triangulate import Candidates
-from tiegraph.dense.tsgm import match_tsgm
+from tiegraph.dense.tsgm import MAX_CELLS, match_sgbm, match_tsgm
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.evaluate.clouds.nearest import Cameras, cloud_to_cloud, criteria_of, nearest

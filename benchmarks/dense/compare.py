@@ -20,8 +20,7 @@ import numpy as np
 from benchmarks.dense.data import Pair, middlebury, rendered
 from benchmarks.dense.score import score
 from tiegraph.dense import _sgm
-from tiegraph.dense.sgbm import without_speckles
-from tiegraph.dense.tsgm import match
+from tiegraph.dense.tsgm import match, without_speckles
 from tiegraph.dense.tuning import TsgmTuning
 
 Method = Callable[[Pair], np.ndarray]
@@ -44,14 +43,10 @@ def ours(tuning: TsgmTuning) -> Method:
     return lambda pair: match(pair.left, pair.right, 0, pair.disparities, tuning)
 
 
-FULL = TsgmTuning(everywhere=True)
 METHODS: dict[str, Method] = {
     "SGBM HH": opencv(cv2.STEREO_SGBM_MODE_HH),
     "SGBM 3WAY": opencv(cv2.STEREO_SGBM_MODE_SGBM_3WAY),
-    "full": ours(FULL),
     "tsgm": ours(TsgmTuning()),
-    "tsgm census": ours(TsgmTuning(cost="census")),
-    "tsgm mutual": ours(TsgmTuning(cost="mutual")),
 }
 
 

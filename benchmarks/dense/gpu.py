@@ -98,7 +98,7 @@ def measure(name: str, left: np.ndarray, right: np.ndarray, device: cuda.Matcher
     row["pyramid gpu ms"] = median_ms(lambda: pyramid(TsgmTuning()), REPEATS, wait)
     row["pyramid by kernel"] = by_kernel(device, lambda: pyramid(TsgmTuning()))
 
-    options = tsgm._options(TsgmTuning(cost="census"), True)
+    options = tsgm._options(TsgmTuning(), tsgm._CENSUS)
     strips = tsgm._strips(np.full(len(left), left.shape[1] * disparities), TsgmTuning().strip_overlap_px)
     a, b = device.upload(left), device.upload(right)
 

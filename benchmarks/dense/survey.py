@@ -17,8 +17,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.dense.depth import confirmed_map, depth_map
-from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.plan import ImagePlan
+from tiegraph.dense.plan import ImagePlan, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole_of

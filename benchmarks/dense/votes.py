@@ -22,10 +22,8 @@ import pycolmap
 
 from benchmarks.datasets import load
 from benchmarks.dense.clouds import Truth, alignment, depth_truth, sigma_rows
-from tiegraph.dense.consistency import LoadDepth, _bit, _compare, _Surface, _Tally, check
-from tiegraph.dense.depth import depth_map
-from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.plan import ImagePlan
+from tiegraph.dense.depth import LoadDepth, Surface, Tally, check, depth_map
+from tiegraph.dense.plan import ImagePlan, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.scene.results import load_depth
@@ -41,15 +39,14 @@ def votes(plan: ImagePlan, load_first: LoadDepth, truth: np.ndarray) -> np.ndarr
     depth = load_first(plan.view.name)
     assert depth is not None
     partners = [v.name for v in plan.partners]
-    tally, unseen = _Tally.begin(depth), set(partners)
+    tally, unseen = Tally(depth), set(partners)
     for name in plan.witnesses:
         other = load_first(name)
         if other is not None:
             unseen.discard(name)
-            counted = _bit(depth, partners.index(name)) if name in partners else np.zeros(truth.shape, bool)
-            said = _compare(depth, 0, _Surface.of(other), _SETTINGS.tolerance_px, _TUNING.rays)
-            tally = tally.heard(said, counted)
-    maps = tally.maps - 1 + sum(_bit(depth, k).astype(int) for k, name in enumerate(partners) if name in unseen)
+            partner = partners.index(name) if name in partners else None
+            tally.hear(Surface(other), partner, _SETTINGS.tolerance_px, _TUNING.rays)
+    maps = tally.maps - 1 + sum(tally.matched(k).astype(int) for k, name in enumerate(partners) if name in unseen)
     known = np.isfinite(depth.depth_m) & np.isfinite(truth)
     columns = (maps, tally.views, tally.against, tally.possible + len(unseen), np.abs(depth.depth_m / truth - 1))
     return np.stack([c[known] for c in columns], axis=1)

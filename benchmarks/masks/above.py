@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from unittest import mock
 
@@ -17,26 +17,25 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.masks.measure import load
 from tiegraph.masks import learnt
-from tiegraph.masks.learnt import Edges, not_above
+from tiegraph.masks.learnt import not_above
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import LabelTuning
+from tiegraph.masks.tuning import LabelTuning, Tuning
 
 
 def above(name: str) -> float:
     """The share (-1..1) of a set; NaN if nothing looks like sky."""
-    data, told = load(name), Edges()
+    data, told = load(name), (0.0, 0.0)
 
-    def spied(edges: Mapping[int, Iterable[Edges]], tuning: LabelTuning) -> set[int]:
+    def spied(edges: Mapping[int, Sequence[tuple[float, float]]], tuning: LabelTuning) -> set[int]:
         nonlocal told
-        told = sum((e for own in edges.values() for e in own), Edges())
+        told = tuple(sum(e[n] for own in edges.values() for e in own) for n in (0, 1))
         return not_above(edges, tuning)
 
     keys = {c: k for k, c in enumerate(data.cameras)}
     images = {keys[c]: [data.folder / n for n in names] for c, names in data.cameras.items()}
     with mock.patch.object(learnt, "not_above", spied):
         learnt.learn(images, MasksSettings(source="learnt"), Tuning(), [keys[c] for c in data.upward])
-    return told.down / told.length if told.length else float("nan")
+    return told[0] / told[1] if told[1] else float("nan")
 
 
 if __name__ == "__main__":

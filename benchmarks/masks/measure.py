@@ -29,7 +29,7 @@ import pycolmap
 from benchmarks.datasets import data_root
 from tiegraph import papers
 from tiegraph.masks import EGO, NAMES, USE
-from tiegraph.masks.compare import compare, compare_classes, table_text
+from tiegraph.masks.folder import compare, compare_classes, table_text
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera

@@ -22,8 +22,7 @@ import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.masks.measure import MaskSet, load
-from tiegraph.masks.frames import grey, read_small, two_frames
-from tiegraph.masks.morphology import block_share, from_blocks
+from tiegraph.masks.frames import block_share, from_blocks, grey, read_small, two_frames
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.papers.meguro2025 import blue_sky, edge_sky, initial_mask

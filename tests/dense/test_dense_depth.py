@@ -11,13 +11,11 @@ from dense_world import model_of, render, true_model
 
 from tiegraph.dense.depth import confirmed_map, depth_map, with_normals
 from tiegraph.dense.engine import DenseView, rectified_engine
-from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.plan import DepthRange
+from tiegraph.dense.plan import DepthRange, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tsgm import match_tsgm
 from tiegraph.dense.tuning import Tuning
-from tiegraph.dense.undistort import pinhole_of
-from tiegraph.dense.workspace import undistorted, write_workspace
+from tiegraph.dense.undistort import pinhole_of, undistorted, write_workspace
 from tiegraph.geometry.transforms import apply, rigid
 from tiegraph.scene.results import DepthMap
 

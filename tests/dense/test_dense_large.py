@@ -18,10 +18,9 @@ import pytest
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
-from tiegraph.dense import consistency, undistort
 from tiegraph.dense import depth as dense_depth
-from tiegraph.dense.consistency import check
-from tiegraph.dense.depth import with_normals
+from tiegraph.dense import undistort
+from tiegraph.dense.depth import check, with_normals
 from tiegraph.dense.plan import CameraModel
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
@@ -80,7 +79,7 @@ def test_strips_of_rows_give_the_bits_of_the_whole(monkeypatch):
         return [*found, *_maps.__wrapped__(camera, pinhole)]
 
     whole = made()
-    for module in (consistency, dense_depth, undistort):
+    for module in (dense_depth, undistort):
         monkeypatch.setattr(module, "row_strips", lambda shape, *_: row_strips(shape, 7 * shape[1]))
     for one, other in zip(whole, made(), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -117,7 +116,7 @@ camera = CameraModel("SIMPLE_RADIAL", width, height, (5376.0, width / 2, height 
 aside = np.eye(4)
 aside[0, 3] = -baseline
 views = [ViewPlan("a.jpg", camera, np.eye(4)), ViewPlan("b.jpg", camera, aside)]
-plan = ImagePlan(views[0], (views[1],) * 2, ("b.jpg",), DepthRange(40.0, 80.0))
+plan = ImagePlan(views[0], (views[1],) * 2, ("b.jpg",), DepthRange(50.0, 72.0))
 settings, tuning = DenseSettings(min_views=2), Tuning()
 first = depth_map(plan, folder, None, settings, tuning)
 final, _ = confirmed_map(plan, first, {}.get, settings, tuning)

@@ -6,8 +6,7 @@ import pytest
 
 from tiegraph.dense import engine, tsgm
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import _left_right, match_sgbm
-from tiegraph.dense.tsgm import mutual_information
+from tiegraph.dense.tsgm import _left_right, match_sgbm, mutual_information
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import EngineMissing, SettingsError, choose
 
@@ -217,7 +216,7 @@ def test_the_volumes_stay_within_what_is_said_before(monkeypatch):
 
 def test_without_the_native_module_the_remedy_is_named(monkeypatch):
     monkeypatch.setattr(tsgm, "_sgm", None)
-    assert not tsgm.available()
+    assert not tsgm.kernels()
     with pytest.raises(EngineMissing, match="compiler"):
         tsgm.match_tsgm(np.zeros((4, 4), np.uint8), np.zeros((4, 8), np.uint8), 4, SETTINGS, TUNING)
     name, remark = engine.installed("tsgm")

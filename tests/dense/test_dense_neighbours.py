@@ -6,9 +6,8 @@ import pycolmap
 import pytest
 from dense_world import model_of
 
-from tiegraph.dense import neighbours
-from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE, SCALE, WIDE, plan_images
-from tiegraph.dense.plan import CameraModel, ViewPlan
+from tiegraph.dense import plan as planning
+from tiegraph.dense.plan import EPIPOLE, ONE_CENTRE, SCALE, WIDE, CameraModel, ViewPlan, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view, pinhole_of
@@ -43,8 +42,8 @@ def model(positions, turns_deg=None, cameras=None, count=400, seed=0):
 
 def considered(model, settings=SETTINGS):
     """The partners of the first image, those used first."""
-    table = neighbours._table(model)
-    return neighbours._candidates(table, neighbours._shared_counts(table), 0, settings, TUNING.partners)
+    table = planning._table(model)
+    return planning._candidates(table, planning._shared_counts(table), 0, settings, TUNING.partners)
 
 
 def by_name(partners):
@@ -108,8 +107,8 @@ def test_no_partner_at_all_is_an_error_with_a_remedy():
 
 @pytest.mark.slow
 def test_each_of_many_images_that_see_the_same_has_a_bounded_plan():
-    plan = plan_images(model([(0.02 * k, 0, 0) for k in range(300)], count=600), SETTINGS, TUNING.partners)
-    assert len(plan.images) == 300 and not plan.dropped
+    plan = plan_images(model([(0.06 * k, 0, 0) for k in range(100)], count=400), SETTINGS, TUNING.partners)
+    assert len(plan.images) == 100 and not plan.dropped
     assert {len(p.partners) for p in plan.images.values()} == {SETTINGS.partners}
 
 

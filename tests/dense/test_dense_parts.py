@@ -5,10 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from tiegraph.dense.consistency import Consistency, check
-from tiegraph.dense.depth import with_normals
+from tiegraph.dense.depth import Consistency, check, with_normals
+from tiegraph.dense.engine import Candidates, triangulate
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.results import DepthMap

@@ -6,8 +6,7 @@ import pycolmap
 import pytest
 
 from tiegraph.dense.depth import confirmed_map, depth_map
-from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE
-from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
+from tiegraph.dense.plan import EPIPOLE, ONE_CENTRE, CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import NO_OVERLAP, Seen, depth_range, in_camera, plan_hanging, plan_shot, shot_scale
 from tiegraph.dense.tuning import Tuning

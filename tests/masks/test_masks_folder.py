@@ -7,8 +7,15 @@ from PIL import Image
 
 from masks_world import write
 from tiegraph.errors import InputError
-from tiegraph.masks.compare import compare, table_text
-from tiegraph.masks.folder import candidates, check_folder, find_mask, read_folder_mask, read_mask_file
+from tiegraph.masks.folder import (
+    candidates,
+    check_folder,
+    compare,
+    find_mask,
+    read_folder_mask,
+    read_mask_file,
+    table_text,
+)
 
 SIZE = (48, 64)
 NAME = "up/cam0/a.jpg"
@@ -127,7 +134,8 @@ def test_figures_per_camera_and_together(tmp_path):
     write(found / "up/cam1/a.jpg.png", mask(slice(0, 20)))
     write(truth / "up/cam1/a.png", mask(slice(0, 20)))
     write(found / "up/cam1/b.jpg.png", mask(slice(0, 20)))  # no truth: left out
-    result = compare(found, truth)
+    names = ("up/cam0/a.jpg", "up/cam1/a.jpg", "up/cam1/b.jpg")
+    result = compare(found, truth, {name: name.split("/")[1] for name in names})
     cam0, cam1, both = result.rows
     assert [r.camera for r in result.rows] == ["cam0", "cam1", "all"]
     assert [r.images for r in result.rows] == [1, 1, 2]
@@ -151,17 +159,16 @@ def test_labels_as_truth_and_given_cameras(tmp_path):
 
 def test_errors(tmp_path):
     found, truth = tmp_path / "found", tmp_path / "truth"
-    with pytest.raises(InputError, match="no such folder"):
-        compare(found, truth)
+    cameras = {"cam0/a.jpg": "cam0"}
     write(found / "cam0/a.jpg.png", mask(slice(0, 5)))
     with pytest.raises(InputError, match="no true mask for any of 1"):
-        compare(found, truth)
+        compare(found, truth, cameras)
     write(truth / "cam0/a.jpg.png", mask(slice(0, 5), (12, 20)))
     with pytest.raises(InputError, match=r"a\.jpg\.png: 20 x 10 pixels, but .* has 20 x 12"):
-        compare(found, truth)
+        compare(found, truth, cameras)
     write(found / "cam0/c.jpg.png", mask(slice(0, 5)))
     write(truth / "cam0/c.jpg.png", mask(slice(0, 5)))
-    result = compare(found, truth)  # the others are compared all the same
+    result = compare(found, truth, cameras | {"cam0/c.jpg": "cam0"})  # the others are compared all the same
     assert result.rows[-1].images == 1 and len(result.unfit) == 1 and "20 x 12" in result.unfit[0]
     write(truth / "cam0/b.jpg.png", mask(slice(0, 5)))
     with pytest.raises(InputError, match=r"no mask for cam0/b\.jpg, which has a true one"):

@@ -11,10 +11,19 @@ from tiegraph.masks.learnt import learn
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
-from tiegraph.masks.tuning import Tuning, WaterlineTuning
-from tiegraph.masks.tuning_learnt import MatchabilityTuning
-from tiegraph.masks.water import below_waterline, never_matching, water_priors
-from tiegraph.masks.waterline import Lines, View, columns, final_classes, find_water, first_line, lines_of
+from tiegraph.masks.tuning import MatchabilityTuning, Tuning, WaterlineTuning
+from tiegraph.masks.waterline import (
+    Lines,
+    View,
+    below_waterline,
+    columns,
+    final_classes,
+    find_water,
+    first_line,
+    lines_of,
+    never_matching,
+    water_priors,
+)
 
 TUNING = Tuning()
 SKYLINE, SHORE, DECK = 70, 150, 215  # rows
@@ -66,26 +75,24 @@ def test_sky_water_and_platform_of_a_boat(boat, learnt):
 
 
 @pytest.mark.slow
-def test_tables_and_maps_of_other_sizes_do_as_well(boat):
+def test_tables_and_maps_of_other_sizes_do_as_well_and_water_is_where_it_is_asked_for(boat):
     varied = {
-        "frames": {"look_px": 256},
-        "appearance": {"light_bins": 13, "colour_bins": 10, "texture_edges_grey": (1.0, 3.0, 8.0)},
+        "frames": {"work_px": 512},
+        "classification": {"light_bins": 13, "colour_bins": 10, "texture_edges_grey": (1.0, 3.0, 8.0)},
         "labels": {"places": (9, 11)},
         "water": {"grid": (45, 70), "block_px": (5, 3)},
     }
     tuning = Tuning.model_validate(varied)
     prepared = learn({0: boat[0]}, MasksSettings(water="on"), tuning)[0]
-    assert prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
-    assert {len(t) for t in prepared.appearance.table.values()} == {13 * 10 * 10 * 4}
+    assert prepared.note.endswith(", water") and prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
+    assert {len(t) for t in prepared.table.values()} == {13 * 10 * 10 * 4}
     found = classes_of(boat[0][5], prepared, MasksSettings(), SHAPE, tuning)
     assert ((found == USE) == (truth() == USE)).mean() > 0.9
 
 
 @pytest.mark.slow
-def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
-    one = {0: boat[0]}
-    assert learn(one, MasksSettings(water="on"), TUNING)[0].note.endswith(", water")
-    again = [learn(one, MasksSettings(), TUNING)[0] for _ in range(2)]
+def test_one_camera_has_no_water_if_it_is_not_asked_for_and_twice_the_same_classes(boat):
+    again = [learn({0: boat[0]}, MasksSettings(), TUNING)[0] for _ in range(2)]
     assert all(a.note.endswith("no water seen") for a in again)
     a, b = (classes_of(boat[0][3], x, MasksSettings(), SHAPE, TUNING) for x in again)
     assert (a == b).all(), "twice the same"
@@ -136,30 +143,30 @@ def test_border_of_the_sky_and_calm_sky_of_an_upward_camera():
 
 
 def test_pairs_tell_what_matches(boat, monkeypatch):
-    found_in_both = pair_matchability(boat[0][3], boat[0][4], TUNING.matchability)
+    found_in_both = pair_matchability((boat[0][3], boat[0][4]), TUNING.matchability)
     assert len(found_in_both) == 2
     for found in found_in_both:
         row = found.xy[:, 1] * SHAPE[0]
         wall, water = (row > SKYLINE) & (row < SHORE - 6), (row > SHORE + 6) & (row < DECK - 6)
         assert found.matched[wall].mean() > 0.15 and found.matched[water].mean() < 0.05
-    assert pair_matchability(boat[0][0], boat[1][0], TUNING.matchability) == ()
+    assert pair_matchability((boat[0][0], boat[1][0]), TUNING.matchability) == ()
     assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], MatchabilityTuning(most_pairs=6))] == [2, 0, 0]
 
     def refuse(*_):
         raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
 
     monkeypatch.setattr(cv2, "findFundamentalMat", refuse)
-    assert pair_matchability(boat[0][3], boat[0][4], TUNING.matchability) == ()
+    assert pair_matchability((boat[0][3], boat[0][4]), TUNING.matchability) == ()
 
 
 def test_a_zone_that_never_matches():
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 1, (4000, 2)).astype(np.float32)
     matched = (xy[:, 1] < 0.6) & (rng.uniform(size=4000) < 0.3)
-    zone = never_matching([Matchability(None, xy, matched)], None, TUNING.water)
+    zone = never_matching([Matchability(None, xy, matched, xy[:, 0])], None, TUNING.water)
     rows = zone.mask.mean(axis=1)
     assert rows[:33].max() == 0 and rows[39:].min() > 0.9 and zone.says > 100
-    everywhere = never_matching([Matchability(None, xy, rng.uniform(size=4000) < 0.3)], None, TUNING.water)
+    everywhere = never_matching([Matchability(None, xy, rng.uniform(size=4000) < 0.3, xy[:, 0])], None, TUNING.water)
     assert everywhere.says < 8
     assert water_priors({0: zone, 1: zone}, asked=False, tuning=TUNING.water) == {}
     assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False, tuning=TUNING.water)) == {0, 1, 2}
@@ -179,12 +186,15 @@ def test_waterline_is_the_best_line_and_spares_the_platform():
 
 def test_appearance_is_learnt_from_counts():
     blue, grey = np.full((8, 8, 3), (220, 150, 90), np.uint8), np.full((8, 8, 3), 120, np.uint8)
-    own = TUNING.appearance
+    own = TUNING.classification
     blue, grey = (classification.bins(image, own) for image in (blue, grey))
     counts = {k: np.bincount(image.ravel(), minlength=own.bins) for k, image in ((SKY, blue), (USE, grey))}
-    look = classification.learn_appearance(counts | {WATER: np.zeros(own.bins)}, own)
-    assert look.ratio(blue, SKY, USE).min() > 2 and look.ratio(grey, SKY, USE).max() < -2
-    assert not look.ratio(blue, WATER, USE).any()
+    counts |= {WATER: np.zeros(own.bins)}
+    table = classification.learn_appearance(counts, own, counts)
+    assert (
+        classification.log_ratio(table, blue, SKY).min() > 2 and classification.log_ratio(table, grey, SKY).max() < -2
+    )
+    assert not classification.log_ratio(table, blue, WATER).any()
 
 
 LINES, FOCAL = WaterlineTuning(), 200.0

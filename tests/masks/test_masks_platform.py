@@ -8,9 +8,17 @@ import pytest
 
 from masks_world import DECK, SHAPE, frame, smooth, write
 from tiegraph.masks import EGO, OVEREXPOSED, SKY, USE, WATER
-from tiegraph.masks.matchability import Matchability, _shown, nearness
+from tiegraph.masks.matchability import (
+    Matchability,
+    MatchCounts,
+    _shown,
+    matches_in,
+    moves,
+    nearness,
+    white_ties,
+    without_sky,
+)
 from tiegraph.masks.platform import different_frames, learn_platform, platform_of_frames
-from tiegraph.masks.proof import MatchCounts, matches_in, moves, white_ties, without_sky
 from tiegraph.masks.tuning import Tuning
 
 TUNING = Tuning()
@@ -65,29 +73,25 @@ def test_nothing_is_invented_where_everything_moves():
     assert platform_of_frames(frames, TUNING.platform).mean() < 0.01
 
 
-def learnt_of(paths):
-    return learn_platform(different_frames(paths, TUNING), len(paths), TUNING)
-
-
 def test_standing_cameras_and_short_sequences_are_refused(tmp_path):
     still = [write(tmp_path / f"still{k}.png", scenery(0)) for k in range(12)]
     assert len(different_frames(still, TUNING)) == 1
     few = [write(tmp_path / f"few{k}.png", scenery(k)) for k in range(TUNING.platform.min_frames - 1)]
     for paths, why in ((still, "hardly moves"), (still[:1], "one image"), (few, ""), ([tmp_path / "absent.png"], "")):
-        found = learnt_of(paths)
-        assert found.mask is None and why in found.note
+        _, mask, note = learn_platform(paths, TUNING)
+        assert mask is None and why in note
 
 
 def test_from_files_and_a_camera_without_platform(tmp_path):
-    found = learnt_of([write(tmp_path / f"{k}.png", scenery(k)) for k in range(9)])
-    assert found.mask is not None and found.mask.shape == SHAPE and 0.15 < found.mask.mean() < 0.4
+    mask = learn_platform([write(tmp_path / f"{k}.png", scenery(k)) for k in range(9)], TUNING)[1]
+    assert mask is not None and mask.shape == SHAPE and 0.15 < mask.mean() < 0.4
     mast = []
     for k in range(9):  # the deck cut off: a thin mast alone is too little for so few frames
         cut = np.where(np.arange(SHAPE[0])[:, None] < 190, scenery(k), 255 * (k % 2)).astype(np.uint8)[60:190]
         mast.append(write(tmp_path / f"mast{k}.png", cut))
-    assert learnt_of(mast).mask is None
-    bare = learnt_of([write(tmp_path / f"bare{k}.png", frame(k)[60:DECK]) for k in range(8)])
-    assert bare.mask is None and bare.note == "no platform seen"
+    assert learn_platform(mast, TUNING)[1] is None
+    bare = [write(tmp_path / f"bare{k}.png", frame(k)[60:DECK]) for k in range(8)]
+    assert learn_platform(bare, TUNING)[1:] == (None, "no platform seen")
 
 
 def test_what_is_black_in_every_frame_round_a_fisheye_image_is_no_scene():
@@ -157,7 +161,7 @@ def test_the_skies_of_all_cameras_are_judged_together():
 
 
 def test_a_rig_that_no_frames_show_to_move_has_no_platform():
-    one = Matchability(Path("a"), np.zeros((1, 2), np.float32), np.ones(1, bool))
+    one = Matchability(Path("a"), np.zeros((1, 2), np.float32), np.ones(1, bool), np.zeros(1, np.float32))
     for still in ([()] * 36, [], [(one, one)] + [()] * 35):
         assert not moves(still, TUNING.proof)
     assert moves([(one, one)] * 5 + [()] * 31, TUNING.proof)

@@ -12,7 +12,7 @@ import pytest
 from masks_world import SHAPE, smooth, write
 from tiegraph.masks import SKY, USE, WATER
 from tiegraph.masks.classification import _snapped, classes_of, pooled, textureless_regions
-from tiegraph.masks.learnt import Edges, _like_sky, _wide, edges_of, learn, lowest_agreed, not_above
+from tiegraph.masks.learnt import _like_sky, _wide, edges_of, learn, lowest_agreed, not_above
 from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, places, without_points
@@ -88,21 +88,21 @@ def test_an_overcast_sky_of_the_same_looks_is_masked(tmp_path, roll):
 def test_edges_of_a_sky_face_down_and_those_of_a_road_both_ways():
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
     sky = edges_of(row < HORIZON, EVERYWHERE, TUNING.labels)
-    assert sky.down == pytest.approx(sky.length) and sky.length == pytest.approx(SHAPE[1], rel=0.02)
+    assert sky[0] == pytest.approx(sky[1]) and sky[1] == pytest.approx(SHAPE[1], rel=0.02)
     tilted = edges_of(row < HORIZON + 0.5 * (column - 160), EVERYWHERE, TUNING.labels)
-    assert tilted.down / tilted.length == pytest.approx(np.cos(np.arctan(0.5)), abs=0.02)
+    assert tilted[0] / tilted[1] == pytest.approx(np.cos(np.arctan(0.5)), abs=0.02)
     road = edges_of(abs(column - 160 + 0.3 * row) < 30, EVERYWHERE, TUNING.labels)
     yard = edges_of((abs(column - 160) < 40) & (abs(row - 120) < 40), EVERYWHERE, TUNING.labels)
-    assert abs(road.down) < 0.02 * road.length and abs(yard.down) < 0.02 * yard.length
+    assert abs(road[0]) < 0.02 * road[1] and abs(yard[0]) < 0.02 * yard[1]
     cut = edges_of(row < HORIZON, row < HORIZON, TUNING.labels)
-    assert cut.length < 0.03 * sky.length, "where the sky is no longer sought it has no edge"
+    assert cut[1] < 0.03 * sky[1], "where the sky is no longer sought it has no edge"
 
 
 def test_all_level_cameras_say_together_whether_the_sky_is_above():
     own = TUNING.labels
-    assert not_above({0: [Edges(40, 80), Edges(10, 20)], 1: [Edges(-5, 30)]}, own) == set()
-    assert not_above({0: [Edges(4, 80), Edges(10, 20)], 1: [Edges(9, 10)]}, own) == {0, 1}
-    assert not_above({0: [Edges()], 1: []}, own) == set() == not_above({}, own), "nothing looks like sky"
+    assert not_above({0: [(40, 80), (10, 20)], 1: [(-5, 30)]}, own) == set()
+    assert not_above({0: [(4, 80), (10, 20)], 1: [(9, 10)]}, own) == {0, 1}
+    assert not_above({0: [(0.0, 0.0)], 1: []}, own) == set() == not_above({}, own), "nothing looks like sky"
 
 
 WIDE = (360, 640)
@@ -156,7 +156,7 @@ def test_regions_end_at_edges_and_hold_soft_clouds():
     image = np.full((200, 320), 180, np.float32)
     image[:90] += 25 * np.sin(np.linspace(0, 6, 320))[None]  # clouds: a few grey levels a pixel at most
     image[90:] = 100
-    regions = textureless_regions(np.clip(image, 0, 255).astype(np.uint8), TUNING.regions)
+    regions = textureless_regions(np.clip(image, 0, 255).astype(np.uint8), TUNING.classification)
     above, below = regions[5:85], regions[95:195]
     assert (above == above[0, 0]).all() and (below == below[0, 0]).all() and 0 < above[0, 0] != below[0, 0] > 0
     assert (regions[89:91] == 0).any(), "the edge itself is of no region"
@@ -167,7 +167,7 @@ def test_a_region_is_judged_as_one():
     regions[:, :5], regions[:, 6:] = 1, 2
     ratio = np.full((10, 10), 2.0, np.float32)
     ratio[:, 6:] = -9.0  # clipped: no single pixel outweighs all others
-    mean = pooled(ratio, regions, TUNING.regions)
+    mean = pooled(ratio, regions, TUNING.classification)
     assert mean[0, 0] == pytest.approx(2) and mean[0, 9] == pytest.approx(-3) and (mean[:, 5] == 0).all()
 
 
@@ -200,7 +200,7 @@ def test_a_pale_piece_that_matches_is_a_cloud_above_the_horizon_and_a_wall_below
     sky[:60] = True
     across, down = np.meshgrid(np.linspace(0.65, 0.95, 12), np.linspace(0.3, 0.4, 8))
     xy = np.stack([across.ravel(), down.ravel()], axis=1).astype(np.float32)
-    seen = Matchability(Path("a.jpg"), xy, np.ones(len(xy), bool))
+    seen = Matchability(Path("a.jpg"), xy, np.ones(len(xy), bool), np.ones(len(xy)))
     found = _like_sky(image, sky, seen, TUNING.labels, lowest=60 / 240)
     assert found[65:90, 210:310].all() == cloud
     assert not found[:60].any() and not _like_sky(image, sky & False, seen, TUNING.labels, 0.3).any()

@@ -12,10 +12,10 @@ from pydantic import ValidationError
 from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from tiegraph import papers
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.masks import EGO, SKY, USE, plugin, sources
-from tiegraph.masks.compare import compare
+from tiegraph.masks import EGO, SKY, USE, sources
+from tiegraph.masks.folder import compare
 from tiegraph.masks.frames import full_size, grey, image_size, read_small, small_shape, two_frames
-from tiegraph.masks.quality import flags, image_quality
+from tiegraph.masks.platform import flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, explain_source
 from tiegraph.masks.tuning import FramesTuning, Tuning
@@ -120,7 +120,7 @@ def test_paper_001_table_2_on_the_example_survey(canal, tmp_path):
     truth = canal / "truth" / "masks"
     if not truth.is_dir():
         pytest.skip("no true masks in the example survey")
-    accuracy = {}
+    accuracy, cameras = {}, {}
     for name in ("meguro2024", "meguro2025"):
         for camera in ("cam0", "cam1", "cam3", "cam5"):
             images = sorted((canal / "images").glob(f"*/{camera}/*.jpg"))
@@ -128,7 +128,8 @@ def test_paper_001_table_2_on_the_example_survey(canal, tmp_path):
             for path, mask in zip(chosen, all_masks(name, chosen)):
                 relative = path.relative_to(canal / "images")
                 write(tmp_path / name / f"{relative}.png", np.where(mask, 255, 0).astype(np.uint8))
-        accuracy[name] = compare(tmp_path / name, truth, keep_labels=(4,)).rows[-1].accuracy
+                cameras[relative.as_posix()] = camera
+        accuracy[name] = compare(tmp_path / name, truth, cameras, keep_labels=(4,)).rows[-1].accuracy
     assert 0.45 < accuracy["meguro2024"] < accuracy["meguro2025"] < 0.9
     assert accuracy["meguro2025"] > 0.62
 
@@ -252,16 +253,16 @@ def test_a_model_of_the_users_makes_masks(model, tmp_path):
     mask = source.mask(path, prepared, settings, Tuning(), "a.png")
     assert mask.shape == (240, 320) and not mask[:75].any() and mask[85:155].all()
     (tmp_path / "tiny.onnx").write_bytes(b"nonsense")
-    plugin._session.cache_clear()
+    sources._session.cache_clear()
     with pytest.raises(InputError, match="not a model ONNX Runtime can load"):
         source.mask(path, prepared, settings, Tuning(), "a.png")
 
 
 def test_without_onnx_runtime_it_says_what_to_install(model, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    plugin._session.cache_clear()
+    sources._session.cache_clear()
     with pytest.raises(EngineMissing, match=r"tiegraph\[onnx\]"):
-        plugin.model_classes(np.zeros((24, 32, 3), np.uint8), plugin.read_model(model))
+        sources.model_classes(np.zeros((24, 32, 3), np.uint8), sources.read_model(model))
 
 
 @pytest.mark.parametrize(
@@ -277,9 +278,9 @@ def test_without_onnx_runtime_it_says_what_to_install(model, monkeypatch):
 def test_wrong_tables_are_refused_by_name(model, text, said):
     model.write_text(text)
     with pytest.raises(InputError, match=said):
-        plugin.read_model(model)
+        sources.read_model(model)
     with pytest.raises(InputError, match="cannot be read"):
-        plugin.read_model(model.with_name("nowhere.toml"))
+        sources.read_model(model.with_name("nowhere.toml"))
 
 
 def test_blurred_and_repeated_images_are_flagged(tmp_path):

@@ -10,7 +10,6 @@ from PIL import Image
 import mesh_world as world
 from tiegraph.errors import ReconstructionError
 from tiegraph.mesh.files import Textured, glb, mtl, obj
-from tiegraph.mesh.levelling import levelled, vertex_mean
 from tiegraph.mesh.texture import (
     PAD,
     bare_blocks,
@@ -18,11 +17,13 @@ from tiegraph.mesh.texture import (
     edge_colours,
     face_colours,
     laid_out,
+    levelled,
     levelled_chart,
     nodes_of,
     own_faces,
     own_sides,
     places,
+    vertex_mean,
 )
 from tiegraph.mesh.tuning import TextureTuning, ViewTuning
 from tiegraph.mesh.views import UNSEEN, chosen, seen_by

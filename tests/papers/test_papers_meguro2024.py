@@ -1,8 +1,7 @@
 import numpy as np
 
 from masks_world import DECK, HORIZON, frame, sequence, share
-from tiegraph.masks.frames import grey
-from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, opened_closed, without_small
+from tiegraph.masks.frames import block_share, from_blocks, grey, masked_neighbours, opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import Camera
 from tiegraph.masks.tuning import Tuning

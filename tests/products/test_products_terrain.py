@@ -1,12 +1,20 @@
+import json
+import sqlite3
+import sys
+import xml.etree.ElementTree as xml
+
 import numpy as np
+import pyproj
 import pytest
 
 import terrain_world as world
 from terrain_world import NOISE_M, PIXEL
+from tiegraph.pipeline import terrain as glue
 from tiegraph.pipeline.terrain import TerrainWork, wanted
 from tiegraph.products.raster import Place, read_window
 from tiegraph.products.surface import Window
-from tiegraph.products.tuning import Tuning
+from tiegraph.products.terrain import contour_lines, equidistance
+from tiegraph.products.tuning import ContourTuning, Tuning
 
 WHOLE = Window(0, 0, rows=world.ROWS, columns=world.COLUMNS)
 
@@ -80,3 +88,86 @@ def test_a_wall_and_a_model_without_scale_have_no_terrain():
     assert wanted(world.surface(), Place(world.ORIGIN))
     assert not wanted(world.surface(name="elevation1"), Place(world.ORIGIN))
     assert not wanted(world.surface(), Place(None, "units"))
+
+
+TUNING = ContourTuning()
+X, Y = world.places((150, 200))
+PLACES = X[0], Y[:, 0]
+
+
+def hill(x=X, y=Y):
+    """Height of a round hill on a slope."""
+    return 0.1 * x + 4 * np.exp(-((x - 20) ** 2 + (y - 15) ** 2) / 60)
+
+
+@pytest.mark.parametrize(
+    ("relief", "sigma", "every"), [(30, 0.02, 1.0), (3, 0.02, 0.1), (75, 0.02, 2.0), (3, 0.4, 1.0), (900, 0.1, 50.0)]
+)
+def test_the_equidistance_fits_the_relief_and_is_no_finer_than_the_heights(relief, sigma, every):
+    w = np.linspace(100, 100 + relief, 10_000).reshape(100, 100)
+    assert equidistance(w, np.full(w.shape, sigma), TUNING) == every
+    assert equidistance(np.full((5, 5), np.nan), np.full((5, 5), np.nan), TUNING) == 0
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_lines_lie_at_their_height_to_a_pixel_and_rings_are_closed(noise):
+    lines = contour_lines(hill() + noise * world.errors(X.shape), np.full(X.shape, 0.02), PLACES, 0.25, TUNING)
+    off, rings = [], 0
+    for line in lines:
+        assert line.w == pytest.approx(round(line.w / 0.25) * 0.25) and line.sigma == pytest.approx(0.02)
+        assert line.index == (round(line.w / 0.25) % 5 == 0)
+        x, y = line.uv.T
+        step = world.PIXEL / 2
+        slope = np.hypot(hill(x + step, y) - hill(x - step, y), hill(x, y + step) - hill(x, y - step))
+        off.append((hill(x, y) - line.w) / (slope + noise))
+        closed = (line.uv[0] == line.uv[-1]).all()
+        ends = line.uv[[0, -1]]
+        border = np.minimum(ends - [X[0, 0], Y[-1, 0]], [X[0, -1], Y[0, 0]] - ends).min(axis=1)
+        assert closed or (border < 1e-6).all()  # a line ends at the border or nowhere
+        rings += closed
+    off = np.abs(np.concatenate(off))
+    assert np.percentile(off, 99) < 1 and off.max() < 3
+    assert rings >= 5 and len({line.w for line in lines}) > 15
+
+
+def test_lines_are_smooth_and_specks_are_left_out():
+    w = 0.1 * X + 0.03 * world.errors(X.shape)
+    w[40, 40] += 5
+    lines = contour_lines(w, np.full(w.shape, 0.03), PLACES, 0.5, TUNING)
+    assert len(lines) == len({line.w for line in lines})
+    turned = [np.diff(np.unwrap(np.arctan2(*np.diff(line.uv, axis=0).T))) for line in lines]
+    assert np.degrees(np.sqrt(np.mean(np.concatenate(turned) ** 2))) < 15
+
+
+def drawn(folder):
+    lines = contour_lines(hill() + 40, np.full(X.shape, 0.02), (PLACES[0] + 388_800, PLACES[1] + 3_951_200), 1, TUNING)
+    return glue._write_lines(folder / "contours.gpkg", lines, world.surface(), Place(world.ORIGIN)), lines
+
+
+def test_a_geopackage_has_the_crs_and_heights(tmp_path):
+    raw = pytest.importorskip("pyogrio.raw")
+    name, lines = drawn(tmp_path)
+    meta, _, shapes, values = raw.read(tmp_path / name, layer="contours")
+    assert pyproj.CRS.from_user_input(meta["crs"]).to_epsg() == 32654
+    assert meta["geometry_type"] == "LineString Z" and list(meta["fields"]) == ["elevation_m", "index", "sigma_m"]
+    assert values[0].tolist() == [line.w for line in lines]
+    with sqlite3.connect(tmp_path / name) as data:
+        styled = data.execute("SELECT f_table_name, f_geometry_column, styleQML, useAsDefault FROM layer_styles")
+        (layer, column, style, default), *more = styled.fetchall()
+    assert (layer, column, default, more) == ("contours", "geom", 1, [])
+    assert xml.fromstring(style.split("\n", 1)[1]).find("renderer-v2/symbols/symbol/layer") is not None
+    first = np.frombuffer(shapes[0][9:], "<f8").reshape(-1, 3)
+    np.testing.assert_allclose(first, np.c_[lines[0].uv, np.full(len(lines[0].uv), lines[0].w)])
+
+
+def test_without_pyogrio_it_is_geojson_in_degrees(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyogrio", None)
+    name, lines = drawn(tmp_path)
+    assert name == "contours.geojson"
+    data = json.loads((tmp_path / name).read_text())
+    lon, lat, _ = np.array(data["features"][0]["geometry"]["coordinates"]).T
+    east, north = pyproj.Transformer.from_crs(4326, 32654, always_xy=True).transform(lon, lat)
+    np.testing.assert_allclose(np.c_[east, north], lines[0].uv, atol=1e-3)
+    assert data["features"][0]["properties"]["elevation_m"] == lines[0].w
+    nowhere = glue._write_lines(tmp_path / "a.gpkg", lines, world.surface(), Place(None))
+    assert "pyogrio" in nowhere and not (tmp_path / "a.geojson").exists()

@@ -15,8 +15,8 @@ import terrain_world as world
 from tiegraph.errors import EngineMissing
 from tiegraph.pipeline import terrain
 from tiegraph.pipeline.view import Viewed
-from tiegraph.products.contours import Line
 from tiegraph.products.raster import Place
+from tiegraph.products.terrain import Line
 from tiegraph.view.places import Known
 
 SHAPE = (100, 120)

@@ -10,7 +10,7 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common, main_stage
 from tiegraph.errors import InputError
-from tiegraph.masks.compare import compare, compare_classes, table_text
+from tiegraph.masks.folder import compare, compare_classes, table_text
 from tiegraph.pipeline.masks import masks_by
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.settings import read_settings

@@ -1,7 +1,7 @@
 """Depth maps: partners, rectification, matching engines, consistency over views.
 
-Two passes over the images: match each with its partners, then compare each depth map with those of its neighbours
-(consistency). Another matcher is one more entry of ``engine.ENGINES``: ``ENGINES[name](reference, partners,
+Two passes over the images: match each with its partners, then compare each depth map with those of its neighbours.
+Another matcher is one more entry of ``engine.ENGINES``: ``ENGINES[name](reference, partners,
 depth_range, settings, tuning) -> DepthMap``, or a ``PairMatcher`` of rectified images.
 
 **Matcher ``tsgm``** (paper 004): a pyramid in ``tsgm``, and the kernels in the native module ``_sgm`` (C++17,
@@ -21,16 +21,15 @@ again without the native part, the stage takes OpenCV's matcher (``sgbm``), and 
 memory, a byte a disparity and path; one more kernel sums up in the order that gives the native module's rounding. The
 strips are the same, since they show in the last bits; all of a level are matched in one launch.
 
-**Triangulation** (``triangulate``) intersects the rays of all partners: consensus, then residuals from the mean with
-Huber weights. The sigma of a disparity is each image's own: from the differences of its partners where they agree, of
-which 0.3 of the variance is shared (the part of the base image) and does not average out.
+**Triangulation** (``engine``) intersects the rays of all partners: consensus, then residuals from the mean with Huber
+weights. The sigma of a disparity is each image's own: from the differences of its partners where they agree, of which
+0.3 of the variance is shared (the part of the base image) and does not average out.
 
-**Consistency** (``consistency``). At least ``min_views`` depth maps must agree on a point, one more where its sigma
-is above 0.5 % of the depth (depth maps then agree by chance; an image's own matches with two partners confuse equal
-beams alike). Where fewer images have the point in their frame, two that confirm each other are enough, and ``views``
-= 2 says so. Points that as many images see through as confirm are dropped; points hidden from most are not. The depth
-range is that of the sparse points which a partner sees too.
+**Comparison** (``depth``). At least ``min_views`` depth maps must agree on a point, one more where its sigma is above
+0.5 % of the depth (depth maps then agree by chance; an image's own matches with two partners confuse equal beams
+alike). Where fewer images have the point in their frame, two that confirm each other are enough, and ``views`` = 2 says
+so. Points that as many images see through as confirm are dropped; points hidden from most are not.
 
 ``shot`` plans a single shot from the rig alone (paper 004: a cloud a station without any model; ``tiegraph shots``).
-``workspace`` hands depth maps over to COLMAP's ``stereo_fusion`` (``tiegraph export``).
+``undistort`` hands depth maps over to COLMAP's ``stereo_fusion`` (``tiegraph export``).
 """

@@ -3,6 +3,12 @@
 An engine makes the depth map of one reference view from its partner views (``DenseEngine``). The engines here share
 rectification, masking, the way back into the reference and the triangulation over all partners; they differ only in the
 matcher of a rectified pair (``PairMatcher``). An engine that matches otherwise is one more entry of ``ENGINES``.
+
+**Triangulation** (paper 004, section 5.3 and figure 5): one point on each ray of the base image from the disparities of
+all its partners. A disparity is the place of the corresponding ray in the partner's epipolar image, and that place is a
+linear function of the inverse depth along the base pixel's ray. So the intersection of all rays that minimises the
+errors in the images is a weighted mean of inverse depths: the linear solution is already the one that Hartley &
+Zisserman refine to, and what is left to refine is who takes part and with what weight.
 """
 
 import logging
@@ -15,14 +21,13 @@ import numpy as np
 
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import MAX_CELLS, match_sgbm
-from tiegraph.dense.triangulate import Candidates, triangulate
-from tiegraph.dense.tsgm import available, kernel_in_use, match_tsgm, volume_bytes
+from tiegraph.dense.tsgm import MAX_CELLS, kernel_in_use, kernels, match_sgbm, match_tsgm, volume_bytes
 from tiegraph.dense.tuning import RayTuning, Tuning
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap, row_strips
 
 _BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
+_HALF = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # from OpenCV's pixel coordinates to ours
 
 _log = logging.getLogger(__name__)
 
@@ -41,6 +46,22 @@ class DenseView:
     def pinhole(self) -> Pinhole:
         """The camera alone."""
         return Pinhole(self.K, self.cam_from_world, (self.image_bgr.shape[1], self.image_bgr.shape[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What one partner proposes: inverse (H, W) f4 inverse depth, unit (H, W) f4 that of one pixel; NaN = none.
+
+    Inverse depth is the natural variable: disparities are linear in it, and so are their errors.
+    """
+
+    inverse: np.ndarray
+    unit: np.ndarray
+
+    @staticmethod
+    def nothing(shape: tuple[int, int]) -> "Candidates":
+        """A partner that proposes nothing."""
+        return Candidates(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
 
 
 DenseEngine = Callable[[DenseView, Sequence[DenseView], DepthRange, DenseSettings, Tuning], DepthMap]
@@ -63,7 +84,7 @@ def rectified_engine(
     """Depth map of the reference: each rectified pair matched, the rays of all partners intersected.
 
     Keeps pixels on which at least one partner's match stands, with the number of images that agree in ``views``; the
-    demand for ``min_views`` comes after the comparison of depth maps (``consistency``), which adds witnesses.
+    demand for ``min_views`` comes after the comparison of depth maps (``depth``), which adds witnesses.
     """
     candidates = propose(reference, partners, depth_range, settings, tuning, matcher, max_cells)
     return solve(reference, candidates, settings, tuning.rays)
@@ -84,7 +105,7 @@ def propose(
     most = int(min(tuning.pairs.max_disparities, max_cells / (shape[0] * shape[1] * tuning.pairs.max_pixels_ratio)))
     most = max(most, 16)
     found = [_match_pair(reference, p, depth_range, settings, tuning, matcher, most) for p in partners]
-    return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
+    return found or [Candidates.nothing(shape)]
 
 
 def solve(
@@ -117,7 +138,7 @@ ENGINES: dict[str, DenseEngine] = {
 
 def installed(name: str) -> tuple[str, str]:
     """(name of the engine that can be used here, remark): OpenCV's stands in where the native module was not built."""
-    if name == "tsgm" and not available():
+    if name == "tsgm" and not kernels():
         return "sgbm", (
             "the native matcher was not built (no C++ compiler at installation): depth maps by OpenCV's; "
             "install a compiler and tiegraph again for tsgm"
@@ -145,23 +166,16 @@ def _match_pair(
     tuning: Tuning,
     matcher: PairMatcher,
     most: int,
-) -> Candidates | None:
+) -> Candidates:
     height, width = reference.mask.shape
-    pair = rectify(
-        reference.pinhole,
-        partner.pinhole,
-        (depth_range.near, depth_range.far),
-        tuning.pairs.max_pixels_ratio * height * width,
-        most,
-    )
+    sought, most_pixels = (depth_range.near, depth_range.far), tuning.pairs.max_pixels_ratio * height * width
+    pair = rectify(reference.pinhole, partner.pinhole, sought, most_pixels, most)
     if pair is None:
         _log.debug("%s and %s share no part that can be rectified", reference.name, partner.name)
-        return None
+        return Candidates.nothing((height, width))
     left, right, right_mask = _rectified_images(reference, partner, pair)
-    use = _warp(
-        reference.mask.astype(np.uint8), pair.rect_from_reference, pair.size, cv2.INTER_NEAREST, replicate=False
-    )
-    disparity = matcher(left, right, pair.disparities, settings, tuning, use > 0)
+    use = _warped_mask(reference.mask, pair.rect_from_reference, pair.size)
+    disparity = matcher(left, right, pair.disparities, settings, tuning, use)
     known = np.isfinite(disparity)  # whose right pixel is a usable pixel of the partner
     for rows in row_strips(disparity.shape):
         column = np.arange(disparity.shape[1]) + pair.disparities - np.rint(np.where(known[rows], disparity[rows], 0))
@@ -178,10 +192,17 @@ def _rectified_images(
     w, h = pair.size
     shift = np.array([[1.0, 0, pair.disparities], [0, 1, 0], [0, 0, 1]])
     right_size = (w + pair.disparities, h)
-    left = _warp(_grey(reference.image_bgr), pair.rect_from_reference, pair.size, cv2.INTER_CUBIC)
     rect_from_partner = shift @ pair.rect_from_partner
-    right = _warp(_grey(partner.image_bgr), rect_from_partner, right_size, cv2.INTER_CUBIC)
-    use = _warp(partner.mask.astype(np.uint8), rect_from_partner, right_size, cv2.INTER_NEAREST, replicate=False) > 0
+    left, right = (
+        cv2.warpPerspective(
+            cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2GRAY), _between_centres(rect_from_view), size,
+            flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE,
+        )
+        for view, rect_from_view, size in (
+            (reference, pair.rect_from_reference, pair.size), (partner, rect_from_partner, right_size)
+        )
+    )  # fmt: skip
+    use = _warped_mask(partner.mask, rect_from_partner, right_size)
     # Behind the partner's camera the homography shows a mirrored image.
     partner_from_rect = np.linalg.inv(rect_from_partner)[2]
     x, y = np.arange(right_size[0]) + 0.5, np.arange(h) + 0.5
@@ -189,25 +210,18 @@ def _rectified_images(
     return left, right, use & front
 
 
-def _grey(bgr: np.ndarray) -> np.ndarray:
-    return cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+def _between_centres(homography: np.ndarray) -> np.ndarray:
+    """A homography of pixel coordinates as OpenCV counts them: (0, 0) is the centre of the first pixel."""
+    return np.linalg.inv(_HALF) @ homography @ _HALF
 
 
-def _warp(
-    image: np.ndarray, target_from_source: np.ndarray, size: tuple[int, int], how: int, replicate: bool = True
-) -> np.ndarray:
-    """warpPerspective with pixel-corner coordinates."""
-    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
-    matrix = np.linalg.inv(half) @ target_from_source @ half
-    border = cv2.BORDER_REPLICATE if replicate else cv2.BORDER_CONSTANT
-    return cv2.warpPerspective(image, matrix, size, flags=how, borderMode=border, borderValue=0)
+def _warped_mask(mask: np.ndarray, target_from_source: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    matrix = _between_centres(target_from_source)
+    return cv2.warpPerspective(mask.astype(np.uint8), matrix, size, flags=cv2.INTER_NEAREST, borderValue=0) > 0
 
 
 def _to_reference(
-    disparity: np.ndarray,
-    pair: Rectification,
-    shape: tuple[int, int],
-    depth_range: DepthRange,
+    disparity: np.ndarray, pair: Rectification, shape: tuple[int, int], depth_range: DepthRange
 ) -> Candidates:
     """Inverse depth and its uncertainty at the reference's pixels, of disparities in the rectified window."""
     at = _resample(disparity, pair.rect_from_reference, shape)
@@ -225,14 +239,10 @@ def _to_reference(
 
 def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Disparity (H, W) at each reference pixel: interpolated on surfaces, nearest at jumps of a pixel and gaps."""
-    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
-    matrix = np.linalg.inv(half) @ rect_from_reference @ half
-    size = (shape[1], shape[0])
+    matrix = _between_centres(rect_from_reference)
 
     def warp(values: np.ndarray, how: int, outside: float) -> np.ndarray:
-        return cv2.warpPerspective(
-            values, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_CONSTANT, borderValue=outside
-        )
+        return cv2.warpPerspective(values, matrix, shape[::-1], flags=how | cv2.WARP_INVERSE_MAP, borderValue=outside)
 
     nearest = warp(disparity, cv2.INTER_NEAREST, np.nan)
     known = np.isfinite(disparity).astype(np.float32)
@@ -240,3 +250,123 @@ def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tup
     linear = warp(np.where(known > 0, disparity, np.float32(0)), cv2.INTER_LINEAR, 0.0)
     smooth = (weight > 0.999) & (np.abs(linear - nearest) < 1)
     return np.where(smooth, linear, nearest)
+
+
+# --- triangulation ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Triangulation:
+    """inverse (H, W) f4 inverse depth along the base rays, sigma (H, W) f4 its standard deviation, NaN = none; support
+    (H, W) u1 bit mask of the partners that took part; sigma_px that of one disparity."""
+
+    inverse: np.ndarray
+    sigma: np.ndarray
+    support: np.ndarray
+    sigma_px: float
+
+
+def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: RayTuning) -> Triangulation:
+    """The intersection of the base rays with their partners' rays.
+
+    1. *Consensus*: the proposal that most others agree with, within ``tolerance_px`` of both pairs' pixels together and
+       ``max_relative`` of the depth; between equals the one with most information.
+    2. *Linear*: the mean of those that agree, weighted by precision.
+    3. *Refined*: all partners judged again by their residual from the mean, those beyond ``tolerance_px`` left out, the
+       others weighted by Huber.
+
+    The sigma follows from the disparities' (``disparity_sigma_px``: what the partners of this image say of each other),
+    the geometry of the rays that took part, and their residuals where these are larger than they should be.
+    """
+    shape = candidates[0].inverse.shape
+
+    def proposals(pixels: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Of some pixels, (K, n) each."""
+        chosen = ([values.ravel()[pixels] for values in (c.inverse, c.unit)] for c in candidates)
+        inverse, unit = zip(*chosen, strict=True)
+        return np.stack(inverse), np.stack(unit)
+
+    count = candidates[0].inverse.size
+    some = proposals(slice(None, None, max(1, count // 100_000)))  # pixels of an image that tell its sigma
+    sigma_px = disparity_sigma_px(*some, tolerance_px, tuning)
+    parts = row_strips((count, 1), 1 << 15)  # pixels solved together, so that the partners' columns stay in the cache
+    found = [_solve(*proposals(pixels), tolerance_px, sigma_px, tuning) for pixels in parts]
+    depth, sigma, support = (np.concatenate(part).reshape(shape) for part in zip(*found, strict=True))
+    return Triangulation(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)
+
+
+def disparity_sigma_px(inverse: np.ndarray, unit: np.ndarray, tolerance_px: float, tuning: RayTuning) -> float:
+    """One standard deviation of a disparity in this image, from the differences of the proposals (K, n) of its partners
+    that agree; ``sigma_px`` of the tuning where too few do."""
+    differences = [np.zeros(0, np.float32)]
+    for j in range(len(inverse)):
+        for k in range(j):
+            apart = np.abs(inverse[j] - inverse[k]) / np.hypot(unit[j], unit[k])
+            differences.append(apart[apart < tolerance_px])
+    together = np.concatenate(differences)
+    if len(together) < 1000:
+        return tuning.sigma_px
+    own = np.sqrt(1 - tuning.shared_variance)  # the shared part of an error does not differ
+    return float(np.clip(1.4826 * np.median(together) / own, 0.1, 0.5))
+
+
+def _solve(
+    inverse: np.ndarray, unit: np.ndarray, tolerance_px: float, sigma_px: float, tuning: RayTuning
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The three steps for n pixels of K partners (K, n)."""
+    known = np.isfinite(inverse)
+    value = np.where(known, inverse, np.float32(0))
+    weight = np.where(known, 1 / np.square(unit), np.float32(0))
+    part = _consensus(inverse, unit, weight, tolerance_px, tuning.max_relative)
+    mean = _mean(value, weight * part)
+    for _ in range(2):
+        residual = np.abs(inverse - mean) / unit  # pixels of disparity; NaN = none
+        part = (residual <= tolerance_px) & (np.abs(inverse - mean) <= tuning.max_relative * mean)
+        # Residual from which a ray loses weight, Huber's constant: 95 % efficient on normal errors
+        robust = weight * part / np.maximum(1, np.where(part, residual, 0) / (1.345 * sigma_px))
+        mean = _mean(value, robust, mean)
+    bits = np.packbits(part, axis=0, bitorder="little")[0]  # of eight partners at most
+    return mean, _sigma(value, weight * part, mean, sigma_px, tuning.shared_variance), bits
+
+
+def _consensus(
+    inverse: np.ndarray, unit: np.ndarray, weight: np.ndarray, tolerance_px: float, max_relative: float
+) -> np.ndarray:
+    """(K, n) bool: the largest set that agrees with one of its members."""
+    count = len(inverse)
+    agrees = np.zeros((count, count, inverse.shape[1]), bool)
+    for j in range(count):
+        agrees[j, j] = np.isfinite(inverse[j])
+        for k in range(j):
+            limit = tolerance_px * np.hypot(unit[j], unit[k])
+            limit = np.minimum(limit, max_relative * np.minimum(inverse[j], inverse[k]))
+            agrees[j, k] = agrees[k, j] = np.abs(inverse[j] - inverse[k]) <= limit  # NaN compares false
+    # Votes first; information, squashed to below one vote, decides between equals.
+    total = weight.sum(axis=0)
+    share = 0.99 / np.where(total > 0, total, 1)
+    score = np.stack([a.sum(axis=0) + share * np.sum(weight * a, axis=0) for a in agrees])
+    best = np.argmax(score, axis=0)
+    return np.take_along_axis(agrees, best[None, None, :], axis=0)[0]
+
+
+def _mean(value: np.ndarray, weight: np.ndarray, otherwise: np.ndarray | None = None) -> np.ndarray:
+    """(n,) f4 weighted mean; where nothing has weight ``otherwise``, NaN without."""
+    total = weight.sum(axis=0)
+    mean = np.sum(value * weight, axis=0) / np.where(total > 0, total, 1)
+    return np.where(total > 0, mean, np.nan if otherwise is None else otherwise).astype(np.float32)
+
+
+def _sigma(
+    value: np.ndarray, weight: np.ndarray, mean: np.ndarray, sigma_px: float, shared_variance: float
+) -> np.ndarray:
+    """(n,) f4 standard deviation of the inverse depth: the shared part of the errors does not average out."""
+    total = weight.sum(axis=0)
+    safe = np.where(total > 0, total, 1)
+    count = np.sum(weight > 0, axis=0)
+    own = (1 - shared_variance) * sigma_px**2
+    chi2 = np.sum(weight * np.square(value - mean), axis=0) / own
+    inflation = np.maximum(1, chi2 / np.maximum(count - 1, 1))
+    # The shared error is one of the base image: as a disparity it is the same for all partners.
+    shared = shared_variance * sigma_px**2 * np.square(np.sum(np.sqrt(weight), axis=0) / safe)
+    sigma = np.sqrt(own * inflation / safe + shared)
+    return np.where(total > 0, sigma, np.nan).astype(np.float32)

@@ -6,20 +6,28 @@ that one camera will do for the poses; its model has no scale, but its points li
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
 
-from tiegraph.dense.neighbours import angle_weight, range_of, refusal
-from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
+from tiegraph.dense.plan import (
+    CameraModel,
+    DensePlan,
+    DepthRange,
+    ImagePlan,
+    ViewPlan,
+    angle_weight,
+    intersections,
+    range_of,
+    refusal,
+)
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole
 from tiegraph.errors import InputError
-from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
-from tiegraph.geometry.stereo import Pinhole, rectifying_rotation, usable_rays
+from tiegraph.geometry.stereo import Pinhole
 from tiegraph.geometry.transforms import apply, centre, invert
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.results import DepthMap
@@ -36,10 +44,7 @@ def depth_range(views: Sequence[ViewPlan], near: float | None, far: float | None
     longest = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()) if len(views) else 0.0
     if longest == 0 or not np.isfinite(longest):
         raise InputError("a shot needs at least two calibrated cameras in different places: look at the rig file")
-    found = DepthRange(
-        5 * longest if near is None else near,
-        100 * longest if far is None else far,
-    )
+    found = DepthRange(5 * longest if near is None else near, 100 * longest if far is None else far)
     if not 0 < found.near < found.far < np.inf:
         raise InputError(f"depth range {found.near:g} to {found.far:g}: near must be above 0 and below far")
     return found
@@ -55,14 +60,13 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
     dropped: list[tuple[str, str]] = []
     refused: Counter[str] = Counter()
     for k, view in enumerate(views):
-        others = [j for j in range(len(views)) if j != k]
-        looked = [_look(cameras[k], cameras[j], views[j], sought, settings, tuning) for j in others]
-        refused.update(p.reason for p, _ in looked if not p.used)
-        good = sorted((x for x in looked if x[0].used), key=lambda x: -x[1])[: settings.partners]
+        looked = [(*_look(cameras[k], cameras[j], sought, settings, tuning), v) for j, v in enumerate(views) if j != k]
+        refused.update(reason for reason, _, _ in looked if reason)
+        good = sorted((x for x in looked if not x[0]), key=lambda x: -x[1])[: settings.partners]
         if not good:
-            dropped.append((view.name, "; ".join(sorted({p.reason for p, _ in looked}))))
+            dropped.append((view.name, "; ".join(sorted({reason for reason, _, _ in looked}))))
             continue
-        partners = tuple(p.view for p, _ in good)
+        partners = tuple(v for _, _, v in good)
         images[view.name] = ImagePlan(
             view=view, partners=partners, witnesses=tuple(v.name for v in partners), depth_range=sought
         )
@@ -71,7 +75,7 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
             f"no two cameras of the shot can be matched between {sought.near:g} and {sought.far:g} m: "
             f"{'; '.join(dict.fromkeys(r for _, r in dropped))}. Give --near and --far, and look at the rig file"
         )
-    return DensePlan(images=images, dropped=tuple(dropped), notes=(), refused=dict(refused))
+    return DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
 
 
 def plan_hanging(
@@ -110,39 +114,26 @@ def plan_hanging(
 
 
 def _look(
-    reference: Pinhole, other: Pinhole, view: ViewPlan, sought: DepthRange, settings: DenseSettings, tuning: Tuning
-) -> tuple[Partner, float]:
-    """A candidate judged at points spread over the reference's frame and the depths sought, and its worth."""
-    world, size_ratio = _points(reference, sought), other.K[0, 0] / reference.K[0, 0]
+    reference: Pinhole, other: Pinhole, sought: DepthRange, settings: DenseSettings, tuning: Tuning
+) -> tuple[str, float]:
+    """Why a camera is no partner, "" if it is one, by points spread over the reference's frame and the depths sought;
+    and its worth."""
+    u, v = np.meshgrid(*((np.arange(24) + 0.5) / 24 * s for s in reference.size))
+    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ np.linalg.inv(reference.K).T
+    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, 5)
+    world = apply(invert(reference.cam_from_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))
     there = apply(other.cam_from_world, world)
     front = there[:, 2] > 0
     at = (there[:, :2] / np.where(front, there[:, 2], 1)[:, None]) * other.K[[0, 1], [0, 1]] + other.K[:2, 2]
     seen = front & (at >= 0).all(axis=1) & (at <= other.size).all(axis=1)
     if seen.mean() < 0.1:
-        return Partner(view=view, shared=0, angle_deg=0.0, scale=1.0, reason=NO_OVERLAP), 0.0
-    world, there = world[seen], there[seen]
-    own = apply(reference.cam_from_world, world)
-    from_a, from_b = world - centre(reference.cam_from_world), world - centre(other.cam_from_world)
-    cosine = np.sum(from_a * from_b, axis=1) / (np.linalg.norm(from_a, axis=1) * np.linalg.norm(from_b, axis=1))
-    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    usable = np.zeros(len(world), bool)
-    rotations = rectifying_rotation(reference.cam_from_world, other.cam_from_world)
-    if rotations is not None:
-        usable = usable_rays(own @ rotations[0].T) & usable_rays(there @ rotations[1].T)
-    scale = float(size_ratio * np.median(own[:, 2] / there[:, 2]))
+        return NO_OVERLAP, 0.0
+    angle, usable = intersections(reference.cam_from_world, other.cam_from_world, world[seen])
+    nearer = np.median(apply(reference.cam_from_world, world[seen])[:, 2] / there[seen, 2])
+    scale = float(other.K[0, 0] / reference.K[0, 0] * nearer)
     widest = float(np.percentile(angle, 90))  # what is near can be measured though the far end cannot
-    partner = Partner(view=view, shared=int(seen.sum()), angle_deg=widest, scale=scale)
-    reason = refusal(partner, float(usable.mean()), settings, tuning.partners)
     worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
-    return replace(partner, reason=reason), worth
-
-
-def _points(camera: Pinhole, sought: DepthRange) -> np.ndarray:
-    """World points (n, 3) on a grid of the camera's rays."""
-    u, v = np.meshgrid(*((np.arange(24) + 0.5) / 24 * s for s in camera.size))
-    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ np.linalg.inv(camera.K).T
-    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, 5)
-    return apply(invert(camera.cam_from_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))
+    return refusal(widest, float(usable.mean()), scale, settings, tuning.partners), worth
 
 
 @dataclass(frozen=True)
@@ -238,5 +229,5 @@ def _most_agree(seen: Sequence[Seen]) -> float | None:
 
 def in_camera(cam_from_world: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (P, 3) of the model in the frame of a camera, those before it."""
-    local = transforms.apply(cam_from_world, points)
+    local = apply(cam_from_world, points)
     return local[local[:, 2] > 0]

@@ -2,12 +2,12 @@
 
 A pyramid level is matched over the full range where that is cheap; below it each pixel keeps the disparities its
 neighbourhood had on the level above. The costs are census, on the last level blended with mutual information. Where
-there is a GPU (``cuda``) the same steps run on it, with the same bits.
+there is a GPU (``cuda``) the same steps run on it, with the same bits. OpenCV's matcher (Hirschmueller 2008, block
+matching variant) stands in where the native module was not built.
 """
 
 import logging
 import threading
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -15,7 +15,6 @@ import numpy as np
 
 from tiegraph.dense import cuda
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.sgbm import LEFT_RIGHT_PX, without_speckles
 from tiegraph.dense.tuning import TsgmTuning, Tuning
 from tiegraph.errors import EngineMissing
 
@@ -33,15 +32,16 @@ _log = logging.getLogger(__name__)
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
 _CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
 _BLOCK = 16  # disparities that the kernels take at once
-_MODES = {"census": 0, "blend": 1, "mutual": 2}
+_CENSUS, _BLEND = 0, 1  # modes of the kernels: census alone, and the mean of it and mutual information
 _CUDA = "cuda"  # the kernel's name
+_SGBM_MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
+_SUBPIXEL = 16  # OpenCV's fixed point: steps of a pixel in 16 bits; the disparities of one image may span 2000 pixels
+_SHIFT_PX = 16  # the sub-pixel part of a disparity of 0 may be negative
+_LEFT_RIGHT_PX = 1  # disagreement between both directions, at most: paper 004, section 5.2.2
+MAX_CELLS = 800e6
+"""Of OpenCV's largest cost volume, pixels times disparities: a larger pair is matched at a coarser resolution."""
 
 Array = Any  # of NumPy, or of the device
-
-
-def available() -> bool:
-    """Whether the native module is installed."""
-    return _sgm is not None
 
 
 def kernels() -> list[str]:
@@ -83,14 +83,11 @@ def match_tsgm(
     tuning: Tuning,
     use: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
+    """Disparity (h, w) f4 px of each left pixel, NaN = none (``dense.engine.PairMatcher``).
 
-    left (h, w) u1; right (h, w + disparities) u1, whose column ``disparities`` lies under the left's column 0: left
-    (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities; use (h, w) bool: where the disparity
-    matters. Raises EngineMissing where the native module was not built.
+    Raises EngineMissing where the native module was not built.
     """
-    found = match(left, right, disparities, disparities, tuning.tsgm, use)
-    return without_speckles(found)
+    return without_speckles(match(left, right, disparities, disparities, tuning.tsgm, use))
 
 
 def match(
@@ -133,46 +130,35 @@ class _Native:
         self.halve, self.joint_greys = _sgm.halve, _sgm.joint_greys
 
     def ranges(self, coarse: Array, width: int, height: int, rules: _sgm.RangeRules) -> tuple[Array, Array]:
-        """First disparities and blocks of each pixel."""
         first, blocks, _ = _sgm.ranges(coarse, width, height, rules)
         return first, blocks
 
     def row_blocks(self, blocks: Array) -> tuple[np.ndarray, np.ndarray]:
-        """(h,) blocks of each row, and of its pixel that has most."""
         return blocks.sum(axis=1, dtype=np.int64), blocks.max(axis=1)
 
     def match_dense(
-        self,
-        left: Array,
-        right: Array,
-        span: tuple[int, int],
-        options: _sgm.Options,
-        mutual: Array | None,
-        strips: cuda.Strips,
+        self, left: Array, right: Array, span: tuple[int, int], options: Any, mutual: Array | None, strips: cuda.Strips
     ) -> Array:
-        """One range for all pixels, (lowest, number); the rows that count."""
-
-        def match(rows: slice) -> Array:
-            return _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0]
-
-        return cuda.joined([match(outer)[inner] for outer, inner in strips])
+        parts = [
+            _sgm.match_dense(left[rows], right[rows], *span, options, _workspace(), mutual)[0][inner]
+            for rows, inner in strips
+        ]
+        return cuda.joined(parts)
 
     def match_ragged(
         self,
         left: Array,
         right: Array,
         ranges: tuple[Array, Array],
-        options: _sgm.Options,
+        options: Any,
         mutual: Array | None,
         strips: cuda.Strips,
     ) -> Array:
-        """A range for each pixel, (first disparities, blocks of 16); the rows that count."""
-
-        def match(rows: slice) -> Array:
-            images, own = (left[rows], right[rows]), (ranges[0][rows], ranges[1][rows])
-            return _sgm.match_ragged(*images, *own, options, _workspace(), mutual)[0]
-
-        return cuda.joined([match(outer)[inner] for outer, inner in strips])
+        (first, blocks), parts = ranges, []
+        for rows, inner in strips:
+            own = left[rows], right[rows], first[rows], blocks[rows]
+            parts.append(_sgm.match_ragged(*own, options, _workspace(), mutual)[0][inner])
+        return cuda.joined(parts)
 
 
 def _match(
@@ -194,31 +180,28 @@ def _match(
         lefts.append(kernels.halve(lefts[-1]))
         rights.append(kernels.halve(rights[-1]))
         uses.append(_halved(uses[-1]))
-    found = None
-    coarser = levels
-    for level in (levels, 0) if tuning.everywhere else range(levels, -1, -1):
+    # The level that is matched over its full range
+    low, count = -(aligned >> levels), -(-disparities >> levels)
+    height, width = lefts[-1].shape
+    strips = _strips(np.full(height, width * count), tuning.strip_overlap_px)  # a byte for each disparity
+    found = kernels.match_dense(lefts[-1], rights[-1], (low, count), _options(tuning, _CENSUS), None, strips)
+    for level in range(levels - 1, -1, -1):
         rules = _sgm.RangeRules()
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
         # A pixel is given the disparities of the coarser level within 3 pixels, and one more on both sides.
         rules.reach, rules.margin, rules.hole_limit = 3, 1, tuning.hole_disparities
-        options = _options(tuning, level == 0 and levels > 0)
-        pair = _Level(
-            left=lefts[level],
-            right=rights[level],
-            rules=rules,
-            options=options,
-            kernels=kernels,
-            overlap=tuning.strip_overlap_px,
-        )
-        if found is None:
-            found = pair.full()
-        else:
-            above = (lefts[coarser], rights[coarser], found)
-            blended = level == 0 and tuning.cost != "census"
-            mutual = mutual_information(kernels.joint_greys(*above)) if blended else None
-            found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
-        coarser = level
-    assert found is not None
+        height, width = lefts[level].shape
+        first, blocks = kernels.ranges(found, width, height, rules)
+        if (used := uses[level]) is not None:  # one block in the middle of the range
+            first = np.where(used, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
+            blocks = np.where(used, blocks, np.uint8(1))
+        sums, _ = kernels.row_blocks(blocks)
+        _log.debug("%.1f disparities a pixel at %s", _BLOCK * sums.sum() / blocks.size, blocks.shape)
+        strips = _strips(_CELL_BYTES * _BLOCK * sums, tuning.strip_overlap_px)
+        mutual, options = None, _options(tuning, _CENSUS if level else _BLEND)
+        if level == 0:
+            mutual = mutual_information(kernels.joint_greys(lefts[1], rights[1], found))
+        found = kernels.match_ragged(lefts[level], rights[level], (first, blocks), options, mutual, strips)
     found = found + np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
     return kernels.download(np.where(inside, found, np.float32(np.nan)))
@@ -240,17 +223,14 @@ def _workspace() -> _sgm.Workspace:
 
 
 def _levels(disparities: int, tuning: TsgmTuning) -> int:
-    """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the
-    full range at full size has one of a quarter of it, which tells what grey values belong together."""
-    if tuning.everywhere:
-        return 2
+    """Halvings until the full range is cheap; at least one unless there are few disparities anyway."""
     levels = 0 if disparities <= 16 else 1
     while disparities >> levels > tuning.full_disparities:
         levels += 1
     return levels
 
 
-def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
+def _options(tuning: TsgmTuning, mode: int) -> _sgm.Options:
     options = _sgm.Options()
     options.radius_x, options.radius_y = tuning.radius_px
     options.small, options.large = tuning.small_jump, tuning.large_jump
@@ -258,41 +238,9 @@ def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
     falls = [max(0.25, min(1.0, 6 / (4 * k + 2))) for k in range(16)]
     options.large_by_step = [max(tuning.small_jump, round(tuning.large_jump * share)) for share in falls]
     options.parabola = False  # equiangular lines below the pixel
-    options.left_right = LEFT_RIGHT_PX
-    options.mode = _MODES[tuning.cost] if last else 0
+    options.left_right, options.mode = _LEFT_RIGHT_PX, mode
     options.kernel = "" if tuning.kernel == _CUDA else tuning.kernel
     return options
-
-
-@dataclass(frozen=True, eq=False)
-class _Level:
-    """One level of the pyramid: images, the disparities there, options, rows that strips share."""
-
-    left: Array
-    right: Array
-    rules: _sgm.RangeRules
-    options: _sgm.Options
-    kernels: _Native | cuda.Matcher
-    overlap: int
-
-    def full(self, mutual: np.ndarray | None = None) -> Array:
-        """Every disparity at every pixel."""
-        height, width = self.left.shape
-        span = self.rules.low, self.rules.count
-        strips = _strips(np.full(height, width * span[1]), self.overlap)  # bytes
-        return self.kernels.match_dense(self.left, self.right, span, self.options, mutual, strips)
-
-    def within(self, coarse: Array, mutual: np.ndarray | None, use: Array | None) -> Array:
-        """The disparities that the coarser level leaves."""
-        height, width = self.left.shape
-        first, blocks = self.kernels.ranges(coarse, width, height, self.rules)
-        if use is not None:  # one block in the middle of the range
-            first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
-            blocks = np.where(use, blocks, np.uint8(1))
-        sums, _ = self.kernels.row_blocks(blocks)
-        _log.debug("%.1f disparities a pixel at %s", _BLOCK * sums.sum() / self.left.size, self.left.shape)
-        strips = _strips(_CELL_BYTES * _BLOCK * sums, self.overlap)
-        return self.kernels.match_ragged(self.left, self.right, (first, blocks), self.options, mutual, strips)
 
 
 def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
@@ -337,7 +285,65 @@ def mutual_information(joint: np.ndarray) -> np.ndarray:
 def _information(share: np.ndarray) -> np.ndarray:
     """-log of smoothed probabilities, smoothed (Hirschmueller 2008, equations 5 and 6)."""
     window = (_SMOOTHING_PX, _SMOOTHING_PX if share.ndim == 2 else 1)
-    flat = share.astype(np.float32) if share.ndim == 2 else share.astype(np.float32)[None, :]
-    smooth = cv2.GaussianBlur(flat, window if share.ndim == 2 else (_SMOOTHING_PX, 1), 0)
-    result = cv2.GaussianBlur(-np.log(np.maximum(smooth, 1e-9)), window, 0)
-    return result if share.ndim == 2 else result[0]
+    smooth = cv2.GaussianBlur(np.atleast_2d(share.astype(np.float32)), window, 0)
+    return cv2.GaussianBlur(-np.log(np.maximum(smooth, 1e-9)), window, 0).reshape(share.shape)
+
+
+# --- OpenCV's matcher -------------------------------------------------------------------------------------------------
+
+
+def match_sgbm(
+    left: np.ndarray,
+    right: np.ndarray,
+    disparities: int,
+    settings: DenseSettings,
+    tuning: Tuning,
+    use: np.ndarray | None = None,
+) -> np.ndarray:
+    """As ``match_tsgm``, by OpenCV; all pixels are matched, in ``use`` or not."""
+    count = -(-disparities // 16) * 16
+    pad = count - disparities
+    wide_right = cv2.copyMakeBorder(right, 0, 0, pad, 0, cv2.BORDER_REPLICATE)
+    wide_left = cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_REPLICATE)
+    forward = _run(wide_left, wide_right, count, settings)[:, count:]
+    # The other way round: mirrored, the right image is the left one. It needs the left image's continuation.
+    mirror_left = np.ascontiguousarray(cv2.copyMakeBorder(wide_right, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
+    mirror_right = np.ascontiguousarray(cv2.copyMakeBorder(wide_left, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
+    backward = _run(mirror_left, mirror_right, count, settings)[:, count:][:, ::-1]
+    return without_speckles(_left_right(forward, backward, count))
+
+
+def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings) -> np.ndarray:
+    matcher = cv2.StereoSGBM_create(  # type: ignore[attr-defined]
+        minDisparity=0,
+        numDisparities=count,
+        # OpenCV's rule gives 72 and 288 for blocks of 3 x 3, the most exact ones on the Middlebury pairs; larger ones
+        # reach further over weak texture.
+        blockSize=3,
+        P1=120,
+        P2=480,
+        disp12MaxDiff=-1,
+        preFilterCap=63,
+        uniquenessRatio=5,
+        speckleWindowSize=0,
+        mode=_SGBM_MODES[settings.paths],
+    )
+    fixed = matcher.compute(left, right)
+    return np.where(fixed < 0, np.float32(np.nan), fixed.astype(np.float32) / _SUBPIXEL)
+
+
+def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.ndarray:
+    """Forward disparities (h, w) whose right pixel leads back to nearly the left one; backward is (h, w + count)."""
+    known = np.isfinite(forward)
+    column = np.arange(forward.shape[1]) + count - np.rint(np.where(known, forward, 0)).astype(np.int64)
+    back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
+    agrees = np.abs(back - forward) <= _LEFT_RIGHT_PX  # NaN compares false
+    return np.where(known & agrees, forward, np.float32(np.nan))
+
+
+def without_speckles(disparity: np.ndarray) -> np.ndarray:
+    """Disparity (h, w) f4 > -16, NaN = none, without patches of fewer than 100 pixels enclosed by jumps above one
+    (paper 004, section 5.2.2)."""
+    fixed = np.where(np.isfinite(disparity), (disparity + _SHIFT_PX) * _SUBPIXEL, 0).astype(np.int16)
+    cv2.filterSpeckles(fixed, 0, 100, _SUBPIXEL)
+    return np.where(fixed > 0, disparity, np.float32(np.nan))

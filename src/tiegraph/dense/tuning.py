@@ -1,14 +1,12 @@
 """What dense decides by: each constant with its unit, its meaning and where its value comes from."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from tiegraph.settings import Section
 
 
 class PartnerTuning(Section):
-    """Which images are matched with which (`neighbours.py`)."""
+    """Which images are matched with which (`plan.py`)."""
 
     min_shared: int = Field(10, gt=0)
     """Sparse points two images share; below, angle and scale are anyone's guess."""
@@ -47,20 +45,16 @@ class TsgmTuning(Section):
     hole_disparities: int = Field(254, gt=0)
     """Disparities at most where the coarser level has none. 510 find thin bars a little better in the same time, but
     then no strip of 192 rows is sure to stay within 300 MB."""
-    cost: Literal["census", "blend", "mutual"] = "blend"
-    """On the last level census, mutual information or the mean of both, which beats census on seven of nine pairs."""
     full_disparities: int = Field(256, gt=0)
     """Disparities at most of the level that is matched over its full range."""
     strip_overlap_px: int = Field(64, gt=0)
     """Rows that strips of a level share: a path has nearly forgotten where it began."""
-    everywhere: bool = False
-    """Full size is matched over its full range too: a reference for measurements."""
     kernel: str = ""
     """Name of a native kernel, or cuda; empty = the fastest of this machine. All give the same."""
 
 
 class RayTuning(Section):
-    """Partners and depth maps that say the same of a pixel (`triangulate.py`, `consistency.py`)."""
+    """Partners and depth maps that say the same of a pixel (`engine.py`, `depth.py`)."""
 
     max_relative: float = Field(0.05, gt=0)
     """However coarse a pair is, depths further apart than this share of the depth are not the same surface."""
@@ -83,10 +77,6 @@ class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     partners: PartnerTuning = Field(default_factory=PartnerTuning)
-    """The choice of partners."""
     pairs: PairTuning = Field(default_factory=PairTuning)
-    """Rectified pairs."""
     tsgm: TsgmTuning = Field(default_factory=TsgmTuning)
-    """The hierarchical matcher."""
     rays: RayTuning = Field(default_factory=RayTuning)
-    """From disparities to depths that stand."""

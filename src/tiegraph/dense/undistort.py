@@ -1,19 +1,30 @@
-"""From an image of any COLMAP camera to an undistorted view with a pinhole matrix."""
+"""From an image of any COLMAP camera to an undistorted view with a pinhole matrix.
 
+Depth maps of such views are handed over to COLMAP as a dense workspace, as its image undistorter and PatchMatch leave
+it: its ``stereo_fusion`` (which needs no CUDA), Poisson and Delaunay meshing then work on them.
+"""
+
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 
 from tiegraph.dense.engine import DenseView
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole
+from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.composed import moved_pixels
 from tiegraph.scene.decoding import read_pixels
-from tiegraph.scene.results import row_strips
+from tiegraph.scene.names import inside
+from tiegraph.scene.results import DepthMap, row_strips
 
+_SOURCES = 20  # partners PatchMatch would choose by itself, were it run in the workspace
+_KIND = "geometric"  # the name of depth maps that were compared with each other
 _STRETCHED = 1.3  # pixels of an undistorted image per pixel of the image; more only stretches the corners
 
 
@@ -29,7 +40,11 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray
     to ``max_image_size``. Raises InputError for cameras that see all round.
     """
     _refuse_sphere(camera)
-    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)))
+    limit, plane = np.tan(np.radians(settings.max_fov_deg / 2)), _border(camera).reshape(-1, 2)
+    plane = plane[np.isfinite(plane).all(axis=1)]
+    if not len(plane):  # nothing bounds the field of view
+        plane = np.array([[-limit, -limit], [limit, limit]])
+    low, high = np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
     focal = _central_focal(camera)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         focal = camera.params[0]
@@ -109,15 +124,6 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
     return image
 
 
-def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
-    plane = _border(camera).reshape(-1, 2)
-    plane = plane[np.isfinite(plane).all(axis=1)]
-    if len(plane) == 0:
-        return np.array([-limit, -limit]), np.array([limit, limit])
-    return np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
-
-
 def _border(camera: CameraModel) -> np.ndarray:
     """(4, 65, 2) where rays through the sides of an image (top, bottom, left, right) meet the plane z = 1; NaN = none.
 
@@ -143,22 +149,96 @@ def _maps(camera: CameraModel, pinhole: CameraModel) -> tuple[np.ndarray, np.nda
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
     shape = pinhole.height, pinhole.width
     x, y, valid = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, bool)
+    (fx, fy, cx, cy), model = pinhole.params, camera.to_pycolmap()
     for rows in row_strips(shape):
-        x[rows], y[rows], valid[rows] = _map_rows(camera, pinhole, rows)
+        u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
+        rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
+        at = np.asarray(model.img_from_cam(rays))
+        there = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
+        back = np.asarray(model.cam_ray_from_img(np.where(there[:, None], at, 0.0)))
+        back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
+        error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
+        # A ray that comes back from the image half a pixel off lies where the distortion polynomial folds over.
+        valid[rows] = (there & (error < 0.5 * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(u.shape)
+        at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
+        x[rows], y[rows] = at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape)
     return x, y, valid
 
 
-def _map_rows(camera: CameraModel, pinhole: CameraModel, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    fx, fy, cx, cy = pinhole.params
-    u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
-    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
-    model = camera.to_pycolmap()
-    at = np.asarray(model.img_from_cam(rays))
-    inside = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
-    back = np.asarray(model.cam_ray_from_img(np.where(inside[:, None], at, 0.0)))
-    back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
-    error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
-    # A ray that comes back from the image half a pixel off lies where the distortion polynomial folds over.
-    valid = inside & (error < 0.5 * (1 + np.sum(rays[:, :2] ** 2, axis=1)))
-    at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
-    return at[:, 0].reshape(u.shape), at[:, 1].reshape(u.shape), valid.reshape(u.shape)
+# --- a dense workspace of COLMAP --------------------------------------------------------------------------------------
+
+
+def write_workspace(
+    target: Path,
+    model: pycolmap.Reconstruction,
+    images: Path,
+    load: Callable[[str], DepthMap | None],
+    settings: DenseSettings,
+) -> int:
+    """Write undistorted images, the model with their pinhole cameras, depth and normal maps below ``target``; the
+    number of depth maps.
+
+    ``load`` gives the depth map of an image by name, None where there is none: such an image is left out of the model.
+    Raises InputError for images that cannot be read, and for names that lead out of the folder.
+    """
+    maps = target / "stereo" / "depth_maps"
+    names = []
+    for image in sorted((model.image(i) for i in model.reg_image_ids()), key=lambda i: i.name):
+        depth = load(image.name)
+        if depth is None:
+            continue
+        names.append(image.name)
+        pose = matrix(image.cam_from_world())
+        view = ViewPlan(image.name, CameraModel.of(model.camera(image.camera_id)), pose)
+        path = inside(target / "images", image.name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        bgr = load_view(view, images, None, settings).image_bgr
+        path.write_bytes(cv2.imencode(path.suffix.lower(), bgr)[1].tobytes())  # OpenCV does not say that a disk is full
+        _write_map(maps / f"{image.name}.{_KIND}.bin", depth.depth_m)
+        normal = depth.normal if depth.normal is not None else np.zeros((*depth.depth_m.shape, 3), np.float32)
+        _write_map(target / "stereo" / "normal_maps" / f"{image.name}.{_KIND}.bin", normal)
+    (target / "sparse").mkdir(parents=True, exist_ok=True)
+    undistorted(model, set(names), settings).write(str(target / "sparse"))
+    folder = target / "stereo"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names), encoding="utf-8")
+    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, {_SOURCES}\n" for n in names), encoding="utf-8")
+    return len(names)
+
+
+def undistorted(model: pycolmap.Reconstruction, names: set[str], settings: DenseSettings) -> pycolmap.Reconstruction:
+    """A copy of the model with the pinhole cameras of the undistorted images, key points moved along; each of the
+    images is a frame of its own, others and points without images left out."""
+    result = pycolmap.Reconstruction()
+    kept = {}
+    for camera_id, camera in model.cameras.items():
+        K, (width, height) = pinhole_of(CameraModel.of(camera), settings)
+        params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        kept[camera_id] = pycolmap.Camera(
+            model="PINHOLE", width=width, height=height, params=params, camera_id=camera_id
+        )
+        result.add_camera_with_trivial_rig(kept[camera_id])
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.image(image_id)
+        if image.name not in names:
+            continue
+        at = np.array([p.xy for p in image.points2D], float).reshape(-1, 2)
+        moved = moved_pixels(at, model.camera(image.camera_id), kept[image.camera_id])
+        own = pycolmap.Image(name=image.name, keypoints=moved, camera_id=image.camera_id, image_id=image_id)
+        result.add_image_with_trivial_frame(own, image.cam_from_world())
+    there = set(result.images)
+    for point in model.points3D.values():
+        elements = [e for e in point.track.elements if e.image_id in there]
+        if len(elements) > 1:
+            result.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
+    return result
+
+
+def _write_map(path: Path, values: np.ndarray) -> None:
+    """COLMAP's matrix file: sizes as text, then (channels, H, W) f4; 0 where there is nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    planes = np.atleast_3d(np.nan_to_num(values, nan=0.0).astype("<f4")).transpose(2, 0, 1)
+    channels, height, width = planes.shape
+    with path.open("wb") as file:
+        file.write(f"{width}&{height}&{channels}&".encode())
+        file.write(np.ascontiguousarray(planes).tobytes())

@@ -23,4 +23,4 @@ from typing import Literal
 Name = Literal[
     "dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson", "gpkg", "e57"
 ]
-"""What `--to` takes; ``dense`` is the workspace of ``dense.workspace``, ``e57`` the cloud."""
+"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` the cloud."""

@@ -3,10 +3,10 @@
 Source ``learnt``, the default for rigs on a path, learns platform, sky and water from the survey itself, without
 labels or weights:
 
-1. Pairs of frames between which the scene moves are chosen (``frames``).
+1. Frames between which the scene moves are chosen.
 2. The platform, where edges keep their gradient direction in all frames, and what these edges enclose (``platform``).
 3. Matchability: which features match in the neighbouring frame (``matchability``). Zones where none does are water if
-   most level cameras show them (``water``). The border of the sky gives sky (``skyline``), below the black surround
+   most level cameras show them (``waterline``). The border of the sky gives sky (``skyline``), below the black surround
    of a fisheye lens, which is masked as platform; but not where that area is narrow, because there the border ran
    down a pale wall (``learnt``).
 4. Labels of the static scene. An area as bright as the sky and connected to it is no label of the scene if it hardly
@@ -22,13 +22,11 @@ labels or weights:
 that image or not, because sky occludes nothing (``skyline``). The platform is not learnt again. Later stages read only
 the COLMAP masks; the classes are for the report and ``refine``.
 
-**Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A
-sky whose verified matches are as near as the scene is refused, by all cameras together (``matchability``: two focal
-lengths are tried, and a match that is far by one of them is not near), and without a sky there is no water. A sky must
-lie above the rest (``learnt``): its edges face down, those of a pale road seen from straight above face every way, and
-nothing in it matches that could refute it. Only rows where sky is searched count, so that snow or still water below
-do not matter; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky: this takes a density
-of a fifth of the matches of a surface, and overexposed areas that match so densely are used.
+**Tests before a class is masked** (``matchability``). A platform needs frames that verify motion (a rig at rest has
+none). A sky whose verified matches are as near as the scene is refused, by all cameras together, and without a sky
+there is no water. A sky must lie above the rest (``learnt``). Only rows where sky is searched count, so that snow or
+still water below do not matter; cameras of the role ``up`` are not tested. Wires and tree tops do not refute a sky:
+this takes a density of a fifth of the matches of a surface, and overexposed areas that match so densely are used.
 """
 
 USE, SKY, WATER, EGO, OVEREXPOSED = range(5)

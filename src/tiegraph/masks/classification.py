@@ -1,6 +1,6 @@
 """Classification of an image by the learnt table: sky, water, platform and burnt-out areas.
 
-Regions without an edge inside: connected areas, whatever the table gives for their single pixels.
+Regions without an edge inside are judged as one, whatever the table gives for their single pixels.
 
 The appearance of sky, water and the static scene in this survey is one table over colour, brightness and texture,
 learnt from seeds of the survey itself (Achar et al. 2011: self-supervised segmentation of river scenes), so it needs no
@@ -15,15 +15,16 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tiegraph.masks import EGO, OVEREXPOSED, SKY, USE, WATER
-from tiegraph.masks.frames import grey, read_small, small_shape
-from tiegraph.masks.morphology import dilated, eroded, opened, scaled
+from tiegraph.masks.frames import dilated, eroded, full_size, grey, opened, read_small, small_shape
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import AppearanceTuning, ClassificationTuning, RegionsTuning
-from tiegraph.masks.water import below_waterline
+from tiegraph.masks.tuning import ClassificationTuning, Tuning
+from tiegraph.masks.waterline import below_waterline
+
+Table = dict[int, np.ndarray]
+"""Log probability (bins,) f4 of each bin for some classes."""
 
 
-def bins(image: np.ndarray, tuning: AppearanceTuning) -> np.ndarray:
+def bins(image: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
     """Bin (h, w) i4 of each pixel of an image (h, w, 3) u1 BGR."""
     lights, _, colours, textures = tuning.shape
     levels = np.arange(256)
@@ -40,29 +41,14 @@ def bins(image: np.ndarray, tuning: AppearanceTuning) -> np.ndarray:
     return of_light[light] + steps[a] * colours + steps[b] + texture
 
 
-@dataclass(frozen=True)
-class Appearance:
-    """Log probability (bins,) f4 of each bin for some classes."""
-
-    table: dict[int, np.ndarray]
-
-    def ratio(self, found: np.ndarray, label: int, other: int) -> np.ndarray:
-        """Log of P(bin | label) / P(bin | other) for bins of any shape; 0 if either was not learnt."""
-        if label not in self.table or other not in self.table:
-            return np.zeros(found.shape, np.float32)
-        return (self.table[label] - self.table[other])[found]
-
-
 def learn_appearance(
-    counts: dict[int, np.ndarray], tuning: AppearanceTuning, shared: dict[int, np.ndarray] | None = None
-) -> Appearance:
-    """From counts (bins,) of seed pixels by class; classes without seeds are left out.
-
-    ``shared``: counts of all cameras; they weigh as much as ``shared_px`` of a camera's own.
-    """
+    counts: dict[int, np.ndarray], tuning: ClassificationTuning, shared: dict[int, np.ndarray]
+) -> Table:
+    """From counts (bins,) of seed pixels by class, of a camera and of all (``shared``); classes without seeds are left
+    out."""
     table = {}
     for label in counts:
-        own, every = _share(counts[label], tuning), None if shared is None else _share(shared[label], tuning)
+        own, every = _share(counts[label], tuning), _share(shared[label], tuning)
         if own is None:
             own = every
         elif every is not None:
@@ -71,10 +57,17 @@ def learn_appearance(
             own = weight * own + (1 - weight) * every
         if own is not None:
             table[label] = np.log((1 - tuning.floor * tuning.bins) * own + tuning.floor).astype(np.float32)
-    return Appearance(table)
+    return table
 
 
-def _share(count: np.ndarray, tuning: AppearanceTuning) -> np.ndarray | None:
+def log_ratio(table: Table, found: np.ndarray, label: int) -> np.ndarray:
+    """Log of P(bin | label) / P(bin | scene) for bins of any shape; 0 if either was not learnt."""
+    if label not in table or USE not in table:
+        return np.zeros(found.shape, np.float32)
+    return (table[label] - table[USE])[found]
+
+
+def _share(count: np.ndarray, tuning: ClassificationTuning) -> np.ndarray | None:
     if count.sum() == 0:
         return None
     # Bins of L, a, b and texture
@@ -87,7 +80,7 @@ class Classifier:
     """The common data of one camera's images; ``note`` describes them in words."""
 
     platform: np.ndarray | None  # (h, w) bool at reduced size, True = platform
-    appearance: Appearance
+    table: Table
     water: np.ndarray | None  # (r, c) f4 prior of water in its images, log ratio; None = no water seen
     sky: np.ndarray | None  # (r, c) f4 prior of sky in its images, log ratio; None = it looks up
     sky_rows: float  # share of the height below which no sky was seen in any image
@@ -100,26 +93,24 @@ class Classifier:
 
 def classify(image: np.ndarray, learnt: Classifier, settings: MasksSettings, tuning: Tuning) -> np.ndarray:
     """Classes (h, w) u1 of an image (h, w, 3) u1 BGR at ``look_px``, without the platform: see ``classes_of``."""
-    shape = image.shape[:2]
-    own = tuning.classification
-    found = bins(image, tuning.appearance)
-    look = learnt.appearance
-    sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (own.smooth_px, own.smooth_px))
-    sky_ratio = sky_ratio + pooled(sky_ratio, textureless_regions(grey(image), tuning.regions), tuning.regions)
+    shape, own, light = image.shape[:2], tuning.classification, grey(image)
+    found = bins(image, own)
+    sky_ratio = cv2.blur(log_ratio(learnt.table, found, SKY), (own.smooth_px, own.smooth_px))
+    sky_ratio = sky_ratio + pooled(sky_ratio, textureless_regions(light, own), own)
     if learnt.sky is not None:
         sky_ratio += cv2.resize(learnt.sky, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
-    white = grey(image) >= settings.overexposed
+    white = light >= settings.overexposed
     sky = _cleaned((sky_ratio > own.sky_credit) & sought(shape, learnt, own), own)
-    sky = _with_white(_grown(sky, image, own), white, own)
+    sky = _with_white(_grown(sky, light, own), white, own)
     labels = np.full(shape, USE, np.uint8)
     if not learnt.white_matches:
         labels[_cleaned(white, own)] = OVEREXPOSED
     labels[sky] = SKY
     if learnt.water is not None:
         prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
-        ratio = look.ratio(found, WATER, USE) + prior
+        ratio = log_ratio(learnt.table, found, WATER) + prior
         ratio = np.where(sky_ratio > own.sky_credit, np.minimum(ratio, -0.5), ratio)
-        ego = None if learnt.platform is None else scaled(learnt.platform, shape)
+        ego = None if learnt.platform is None else full_size(learnt.platform, shape)
         labels[below_waterline(ratio, ego, tuning.water)] = WATER
     return labels
 
@@ -140,7 +131,7 @@ def classes_of(
     if max(shape) > tuning.frames.look_px:
         labels = _snapped(labels, grey(image), tuning.classification)
     if learnt.platform is not None:
-        labels[scaled(learnt.platform, shape)] = EGO
+        labels[full_size(learnt.platform, shape)] = EGO
     return labels
 
 
@@ -158,7 +149,13 @@ def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning
     guide, size = light[part].astype(np.float32), (labels.shape[1], len(labels[part]))
     half = (max(1, size[0] // 2), max(1, size[1] // 2))
     small, share = (cv2.resize(x, half, interpolation=cv2.INTER_AREA) for x in (guide, sky[part].astype(np.float32)))
-    slope, shift = _lines(small, share, tuning)
+    # The line that gives the share of sky from the brightness round each pixel
+    around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
+    mean, mean_share = cv2.blur(small, around), cv2.blur(share, around)
+    spread = cv2.blur(small * small, around) - mean * mean
+    # Brightness of sky and scene differ by more, or the edge hardly moves
+    slope = (cv2.blur(small * share, around) - mean * mean_share) / (spread + 8.0**2)
+    slope, shift = cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
     like = cv2.resize(slope, size) * guide + cv2.resize(shift, size) > 0.5
     told = band[part] & ((labels[part] == SKY) | (labels[part] == USE))
     found = labels.copy()
@@ -166,20 +163,9 @@ def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning
     return found
 
 
-def _lines(guide: np.ndarray, share: np.ndarray, tuning: ClassificationTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Slope and shift (h, w) f4 of the line that gives the share of sky from the brightness round each pixel."""
-    around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
-    mean, mean_share = cv2.blur(guide, around), cv2.blur(share, around)
-    spread = cv2.blur(guide * guide, around) - mean * mean
-    # Brightness of sky and scene differ by more, or the edge hardly moves
-    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + 8.0**2)
-    return cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
-
-
-def _grown(sky: np.ndarray, image: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
+def _grown(sky: np.ndarray, brightness: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
     """The sky up to its very edge, where texture separated it from the sky: neighbours of the sky's own brightness."""
-    light = grey(image).astype(np.float32)
-    inside = sky.astype(np.float32)
+    light, inside = brightness.astype(np.float32), sky.astype(np.float32)
     around = (tuning.grow_window_px, tuning.grow_window_px)
     mean = cv2.blur(light * inside, around) / np.maximum(cv2.blur(inside, around), 1e-6)
     return sky | (dilated(sky, 7) & (np.abs(light - mean) < 14.0))
@@ -202,8 +188,6 @@ def _with_white(sky: np.ndarray, white: np.ndarray, tuning: ClassificationTuning
 
 def _cleaned(mask: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
     mask = opened(mask, tuning.open_px).astype(np.uint8)
-    if not mask.any():
-        return mask > 0
     for _ in range(2):  # small pieces go, then small holes
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
         small = stats[:, cv2.CC_STAT_AREA] < tuning.small * mask.size
@@ -212,23 +196,20 @@ def _cleaned(mask: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
     return mask > 0
 
 
-# --- regions without an edge inside ----------------------------------------------------------------------------------
-
-
-def textureless_regions(brightness: np.ndarray, tuning: RegionsTuning) -> np.ndarray:
+def textureless_regions(brightness: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
     """Regions (h, w) i4 of a grey image (h, w) u1 that no edge crosses, from 1; 0 = edges and small pieces."""
-    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.smooth_sigma_px)
+    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.edge_sigma_px)
     x, y = cv2.Sobel(fine, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(fine, cv2.CV_32F, 0, 1, ksize=3)
     calm = (x * x + y * y < (8 * tuning.edge_grey) ** 2).astype(np.uint8)  # 8: gain of the Sobel kernel
     _, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
-    kept = stats[:, cv2.CC_STAT_AREA] >= tuning.min_share * calm.size
+    kept = stats[:, cv2.CC_STAT_AREA] >= tuning.region_share * calm.size
     kept[0] = False
     return np.where(kept, np.cumsum(kept), 0).astype(np.int32)[labels]
 
 
-def pooled(ratio: np.ndarray, regions: np.ndarray, tuning: RegionsTuning) -> np.ndarray:
+def pooled(ratio: np.ndarray, regions: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
     """The mean (h, w) of log ratios (h, w) over the region of each pixel; 0 outside of regions."""
-    clipped = np.clip(ratio, -tuning.clip, tuning.clip).ravel()
+    clipped = np.clip(ratio, -tuning.region_clip, tuning.region_clip).ravel()
     count = np.bincount(regions.ravel())
     mean = np.bincount(regions.ravel(), clipped) / np.maximum(count, 1)
     mean[0] = 0

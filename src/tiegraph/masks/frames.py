@@ -1,4 +1,7 @@
-"""Reading images for masks at a reduced size, and choosing the two frames of a camera that are compared."""
+"""Images at a reduced size, the two frames of a camera that are compared, and operations on binary images.
+
+Masks are bool, (h, w).
+"""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -23,17 +26,12 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_small(path: Path, longer_px: int) -> np.ndarray:
     """(h, w, 3) u1 BGR, the longer side reduced to ``longer_px`` (never enlarged). Raises InputError if unreadable."""
     data = _bytes(path)
-    height, width = _size(path, data)
-    longer = max(height, width)
-    flags = cv2.IMREAD_COLOR
-    for factor, reduced in _REDUCED:
-        if longer >= factor * longer_px:
-            flags = reduced
-            break
+    size = _size(path, data)
+    flags = next((flag for factor, flag in _REDUCED if max(size) >= factor * longer_px), cv2.IMREAD_COLOR)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise InputError(f"{path}: the image is broken; it was readable before: scan again")
-    shape = small_shape((height, width), longer_px)
+    shape = small_shape(size, longer_px)
     return image if image.shape[:2] == shape else cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
 
 
@@ -76,35 +74,90 @@ def grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def full_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A mask (h, w) bool made at reduced size, at ``size`` = (height, width) of the image."""
-    if mask.shape == tuple(size):
-        return mask
-    return cv2.resize(mask.astype(np.uint8), (size[1], size[0]), interpolation=cv2.INTER_NEAREST) > 0
-
-
 def two_frames(images: Sequence[Path], tuning: FramesTuning) -> tuple[np.ndarray, np.ndarray] | None:
     """Grey (h, w) u1 of the first and the last image of a camera (paper 001: "typically the first and the last").
 
     Images that cannot be read are skipped for the next one; the second is the last one of equal size that is not
     the same picture (a camera at rest). None, with a warning, if there are no two such images.
     """
-    first = next(_readable(images, tuning), None)
-    if first is None:
+    most = 12  # frames that are tried before a camera is given up
+    found = next(read_frames(images[:most], tuning.work_px), None)
+    if found is None:
         _log.warning("no image of this camera can be read: no mask from two frames")
         return None
-    place, a = first
-    for _, b in _readable(images[:place:-1], tuning):
+    first, a = found[0], grey(found[1])
+    for _, image in read_frames(images[: images.index(first) : -1][:most], tuning.work_px):
+        b = grey(image)
         # Grey levels that differ less on average are one picture, not two
         if b.shape == a.shape and float(cv2.absdiff(a, b).mean()) >= 1.0:
             return a, b
-    _log.warning("%s: no second, different image of this camera: no mask from two frames", images[place])
+    _log.warning("%s: no second, different image of this camera: no mask from two frames", first)
     return None
 
 
-def _readable(images: Sequence[Path], tuning: FramesTuning) -> Iterator[tuple[int, np.ndarray]]:
-    for place, path in enumerate(images[:12]):  # frames skipped before a camera is given up
-        try:
-            yield place, grey(read_small(path, tuning.work_px))
-        except InputError as error:
-            _log.warning("%s", error)
+def full_size(mask: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """A mask (h, w) bool at another ``size`` = (height, width), nearest pixel."""
+    if mask.shape == tuple(size):
+        return mask
+    return cv2.resize(mask.astype(np.uint8), (size[1], size[0]), interpolation=cv2.INTER_NEAREST) > 0
+
+
+def opened_closed(white: np.ndarray, size_px: int) -> np.ndarray:
+    """Opening, then closing, with a square of ``size_px``: small white areas go, then small black ones."""
+    return closed(opened(white, size_px), size_px)
+
+
+def without_small(white: np.ndarray, min_area: float) -> np.ndarray:
+    """White areas (connected over edges and corners) of fewer than ``min_area`` pixels turned black."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(white.astype(np.uint8), connectivity=8)
+    large = stats[:, cv2.CC_STAT_AREA] >= min_area
+    large[0] = False  # label 0 is black
+    return large[labels]
+
+
+def block_share(white: np.ndarray, size_px: int) -> np.ndarray:
+    """Share of white pixels in each block of ``size_px``, (ceil(h / size), ceil(w / size)) f8.
+
+    Blocks at the right and at the bottom may be smaller.
+    """
+    height, width = white.shape
+    rows, columns = np.arange(0, height, size_px), np.arange(0, width, size_px)
+    counts = np.add.reduceat(np.add.reduceat(white.astype(np.int64), rows, axis=0), columns, axis=1)
+    tall = np.diff(np.r_[rows, height])
+    wide = np.diff(np.r_[columns, width])
+    return counts / np.outer(tall, wide)
+
+
+def from_blocks(blocks: np.ndarray, size_px: int, shape: tuple[int, int]) -> np.ndarray:
+    """Blocks (r, c) spread to pixels ``shape`` = (h, w)."""
+    return np.kron(blocks, np.ones((size_px, size_px), blocks.dtype))[: shape[0], : shape[1]]
+
+
+def masked_neighbours(blocks: np.ndarray) -> np.ndarray:
+    """Number of white blocks among the four beside each block, outside the image none, (r, c) i8."""
+    padded = np.pad(blocks.astype(np.int8), 1)
+    return padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+
+
+def dilated(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool grown by half of ``size_px`` to each side."""
+    return cv2.dilate(mask.astype(np.uint8), _square(size_px)) > 0
+
+
+def eroded(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool shrunk by half of ``size_px`` at each side, but not at the border of the image."""
+    return cv2.erode(mask.astype(np.uint8), _square(size_px)) > 0
+
+
+def opened(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool without what is narrower than ``size_px``."""
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _square(size_px)) > 0
+
+
+def closed(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool with its gaps narrower than ``size_px``."""
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, _square(size_px)) > 0
+
+
+def _square(size_px: int) -> np.ndarray:
+    return np.ones((size_px, size_px), np.uint8)

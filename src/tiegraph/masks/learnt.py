@@ -14,52 +14,47 @@ import cv2
 import numpy as np
 
 from tiegraph.masks import EGO, SKY, USE, WATER
-from tiegraph.masks.classification import Appearance, Classifier, bins, classify, learn_appearance, sought
-from tiegraph.masks.frames import grey, read_small
-from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
-from tiegraph.masks.morphology import dilated, eroded, scaled
-from tiegraph.masks.platform import PlatformMask, different_frames, learn_platform
-from tiegraph.masks.proof import NONE, MatchCounts, matches_in, moves, white_ties, without_sky
+from tiegraph.masks.classification import Classifier, Table, bins, classify, learn_appearance, sought
+from tiegraph.masks.frames import dilated, eroded, full_size, grey, read_small
+from tiegraph.masks.matchability import (
+    Matchability,
+    MatchCounts,
+    choose_pairs,
+    matches_in,
+    moves,
+    pair_matchability,
+    white_ties,
+    without_sky,
+)
+from tiegraph.masks.platform import learn_platform, spread
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
-from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import LabelTuning, MatchabilityTuning
-from tiegraph.masks.water import never_matching, water_priors
+from tiegraph.masks.tuning import LabelTuning, Tuning
+from tiegraph.masks.waterline import never_matching, water_priors
 
 _NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks like it does not lie above the rest"
 
 Map = Callable[[Callable, Sequence], Iterable]
 
 
-@dataclass(frozen=True)
-class Edges:
-    """Edges of a sky in some images: their ``length`` in pixels, and ``down``, the part of it that faces down less that
-    which faces up."""
-
-    down: float = 0.0
-    length: float = 0.0
-
-    def __add__(self, other: "Edges") -> "Edges":
-        return Edges(self.down + other.down, self.length + other.length)
-
-
-def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> Edges:
+def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> tuple[float, float]:
     """Edges of a sky (h, w) bool where it is separated from the scene, ``told`` (h, w) bool: not at the platform, nor
-    at the row below which no sky is searched."""
+    at the row below which no sky is searched. The part of their length that faces down less that which faces up, and
+    their length, pixels."""
     # Twigs and the steps of a border are no edges of their own
     down, right = np.gradient(-cv2.GaussianBlur(sky.astype(np.float32), (0, 0), 5.0))
     inner = eroded(told, tuning.reach_px)
-    return Edges(float(down[inner].sum()), float(np.hypot(down, right)[inner].sum()))
+    return float(down[inner].sum()), float(np.hypot(down, right)[inner].sum())
 
 
-def not_above(edges: Mapping[int, Iterable[Edges]], tuning: LabelTuning) -> set[int]:
+def not_above(edges: Mapping[int, Sequence[tuple[float, float]]], tuning: LabelTuning) -> set[int]:
     """The cameras whose sky is none, as it does not lie above the rest: those of all level cameras are judged together.
 
-    ``edges``: of the images of each level camera, whose tops are up to within some 45 degrees; a camera that looks up
-    sees sky anywhere.
+    ``edges``: of the images of each level camera (``edges_of``), whose tops are up to within some 45 degrees; a camera
+    that looks up sees sky anywhere.
     """
-    every = sum((e for own in edges.values() for e in own), Edges())
-    return set(edges) if every.down < tuning.min_down * every.length else set()
+    down, length = (sum(e[n] for own in edges.values() for e in own) for n in (0, 1))
+    return set(edges) if down < tuning.min_down * length else set()
 
 
 @dataclass(frozen=True)
@@ -84,8 +79,8 @@ class Labels:
     looks: dict[int, np.ndarray]
     places: dict[int, np.ndarray]
     low: float
-    matches: MatchCounts = NONE
-    edges: Edges = Edges()
+    matches: MatchCounts = MatchCounts()
+    edges: tuple[float, float] = (0.0, 0.0)
 
 
 def first_labels(job: LabelJob) -> Labels:
@@ -94,18 +89,22 @@ def first_labels(job: LabelJob) -> Labels:
     image = read_small(job.image, tuning.frames.look_px)
     shape = image.shape[:2]
     static = _matched(job.matchability, shape)
-    water = np.zeros(shape, bool) if job.zone is None else scaled(job.zone, shape)
+    water = np.zeros(shape, bool) if job.zone is None else full_size(job.zone, shape)
     sky = (
         textureless_sky(image, static, tuning.skyline)
         if job.upward
         else border_sky(image, tuning.skyline, job.platform)
     )
-    if sky is None or not job.upward and not _unmatched(sky, job.matchability, own):
+    wall = sky is not None and not job.upward  # until its matches say that it is sky
+    if wall and job.matchability is not None:  # a bright wall has as many as other walls
+        inner = eroded(sky, tuning.skyline.inner_px)
+        wall = not inner[job.matchability.pixels(shape)].mean() < own.matched_sky * float(inner.mean())
+    if sky is None or wall:
         sky = np.zeros(shape, bool)
     else:  # areas well off the sky are scene or water
         pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet
         static = (static | ~dilated(sky, 9)) & ~pale
-    free = np.ones(shape, bool) if job.platform is None else ~scaled(job.platform, shape)
+    free = np.ones(shape, bool) if job.platform is None else ~full_size(job.platform, shape)
     rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > 0.02)  # share of a row that must be sky
     low = float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
     sky = (sky if job.upward else _wide(sky, own)) & ~static
@@ -120,7 +119,7 @@ def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> 
     image = read_small(seed.image, tuning.frames.look_px)
     labels = classify(image, learnt, settings, tuning)
     static = _matched(seed.matchability, labels.shape)
-    free = np.ones(labels.shape, bool) if learnt.platform is None else ~scaled(learnt.platform, labels.shape)
+    free = np.ones(labels.shape, bool) if learnt.platform is None else ~full_size(learnt.platform, labels.shape)
     masks = {label: (labels == label) & free & ~static for label in (SKY, WATER)}
     doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
     masks[SKY] = masks[SKY] & ~doubtful
@@ -128,8 +127,11 @@ def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> 
     classes = np.where(free, labels, EGO).astype(np.uint8)
     seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks}, tuning)
     told = free & (labels != WATER) & sought(labels.shape, learnt, tuning.classification)
-    edges = Edges() if seed.upward else edges_of(labels == SKY, told, tuning.labels)
-    return replace(seeds, matches=matches_in(classes, classes == SKY, seed.matchability, tuning.proof), edges=edges)
+    edges = (0.0, 0.0) if seed.upward else edges_of(labels == SKY, told, tuning.labels)
+    matches = MatchCounts()
+    if seed.matchability is not None:
+        matches = matches_in(classes, classes == SKY, seed.matchability, tuning.proof)
+    return replace(seeds, matches=matches, edges=edges)
 
 
 def _like_sky(
@@ -151,30 +153,19 @@ def _like_sky(
     row = int(np.clip(round((lowest + tuning.lower) * len(sky)), 0, len(sky)))
     pale = np.bincount(pieces[row:].ravel(), minlength=count) <= 0.05 * area
     if matchability is not None:
-        place = (matchability.xy[matchability.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
-        at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
-        pale |= np.bincount(at, minlength=count) * pieces.size < tuning.matched_sky * len(place) * area
+        at = pieces[matchability.pixels(sky.shape)]
+        pale |= np.bincount(at, minlength=count) * pieces.size < tuning.matched_sky * len(at) * area
     pale[0] = False
     return pale[pieces]
 
 
 def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], tuning: Tuning, low: float = 0.0) -> Labels:
-    found, size = bins(image, tuning.appearance), tuning.labels.places[::-1]
-    looks = {label: np.bincount(found[mask], minlength=tuning.appearance.bins) for label, mask in masks.items()}
+    found, size = bins(image, tuning.classification), tuning.labels.places[::-1]
+    looks = {label: np.bincount(found[mask], minlength=tuning.classification.bins) for label, mask in masks.items()}
     places = {
         label: cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) for label, mask in masks.items()
     }
     return Labels(looks, places, low)
-
-
-def _unmatched(sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning) -> bool:
-    """Whether the apparent sky has hardly any matching feature: a bright wall has as many as other walls."""
-    if matchability is None:
-        return False
-    place = (matchability.xy[matchability.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
-    inner = eroded(sky, tuning.rim_px)
-    inside = inner[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
-    return float(inside.mean()) < tuning.matched_sky * float(inner.mean())
 
 
 def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
@@ -186,8 +177,8 @@ def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
 def _matched(matchability: Matchability | None, shape: tuple[int, ...]) -> np.ndarray:
     static = np.zeros(shape, np.uint8)
     if matchability is not None:
-        for x, y in matchability.xy[matchability.matched] * np.array(shape[::-1], np.float32):
-            cv2.circle(static, (int(x), int(y)), 5, 1, -1)
+        for row, column in zip(*matchability.pixels(shape)):
+            cv2.circle(static, (int(column), int(row)), 5, 1, -1)
     return static > 0
 
 
@@ -204,25 +195,25 @@ def learn(
     """
     upward, keys = set(upward), list(cameras)
     # The images of each camera between which the scene moves, the platform by them, and what matches in them
-    different = dict(zip(keys, apply(partial(different_frames, tuning=tuning), [cameras[k] for k in keys])))
-    counted = [(different[k], len(cameras[k])) for k in keys]
-    platforms = dict(zip(keys, apply(partial(_learn_platform, tuning=tuning), counted)))
-    pairs = choose_pairs(list(different.values()), tuning.matchability)
-    found = list(apply(partial(_pair, tuning=tuning.matchability), [pair for own in pairs for pair in own]))
+    learnt = list(apply(partial(learn_platform, tuning=tuning), [cameras[k] for k in keys]))
+    platforms, notes = ({k: own[n] for k, own in zip(keys, learnt)} for n in (1, 2))
+    pairs = choose_pairs([own[0] for own in learnt], tuning.matchability)
+    found = list(apply(partial(pair_matchability, tuning=tuning.matchability), [pair for own in pairs for pair in own]))
     each = iter(found)
     seen = {k: [e for _ in own for e in next(each)] for k, own in zip(keys, pairs)}
     if not moves(found, tuning.proof):
         still = "no platform learnt (no frames show that the camera moves)"
-        platforms = {k: p if p.mask is None else PlatformMask(None, p.frames, still) for k, p in platforms.items()}
+        notes = {k: notes[k] if platforms[k] is None else still for k in keys}
+        platforms = dict.fromkeys(keys)
     # Where nothing ever matches, and the prior of water by place, of the cameras that show water
     level = [k for k in keys if k not in upward]
-    zones = {k: never_matching(seen[k], platforms[k].mask, tuning.water) for k in level}
+    zones = {k: never_matching(seen[k], platforms[k], tuning.water) for k in level}
     water = {} if settings.water == "off" else water_priors(zones, settings.water == "on", tuning.water)
     count = max(tuning.labels.least_images, tuning.labels.images // max(1, len(cameras)))
     jobs = [
         LabelJob(
             camera=k, image=image, matchability=matchability, zone=zones[k].mask if k in water else None,
-            platform=platforms[k].mask, upward=k in upward, tuning=tuning,
+            platform=platforms[k], upward=k in upward, tuning=tuning,
         )
         for k, images in cameras.items()
         for image, matchability in _seed_images(images, seen[k], count)
@@ -233,7 +224,7 @@ def learn(
     lowest = lowest_agreed([s.low for job, s in zip(jobs, labels) if not job.upward], tuning.labels)
     first = {
         k: Classifier(
-            platform=platforms[k].mask, appearance=known[k], water=water.get(k), sky=None,
+            platform=platforms[k], table=known[k], water=water.get(k), sky=None,
             sky_rows=1.0 if k in upward else lowest, note="",
         )
         for k in keys
@@ -243,7 +234,7 @@ def learn(
     made = _proven(first, jobs, again, settings.water == "on", tuning)
     told = {k: f", no sky: {m.no_sky}" if m.no_sky else "" for k, m in made.items()}
     wet = {k: ", no water seen" if m.water is None else ", water" for k, m in made.items()}
-    return {k: replace(m, note=platforms[k].note + told[k] + wet[k]) for k, m in made.items()}
+    return {k: replace(m, note=notes[k] + told[k] + wet[k]) for k, m in made.items()}
 
 
 def _proven(
@@ -252,25 +243,18 @@ def _proven(
     """The second learning, without refuted skies; without any sky, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
     known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.labels)
-    refuted = _refuted(jobs, seeds, upward, tuning)
+    ties = {k: sum(_of(k, jobs, [s.matches for s in seeds]), MatchCounts()) for k in first}
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in set(first) - upward}, tuning.labels)
+    refuted = dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(without_sky(ties, tuning.proof), _NEAR)
     white = white_ties((s.matches for s in seeds), tuning.proof)
     dry = not asked and set(refuted) >= set(first) - upward
     made = {}
     for k, learnt in first.items():
-        table = {c: t for c, t in known[k].table.items() if c != SKY or k not in refuted}
+        table = {c: t for c, t in known[k].items() if c != SKY or k not in refuted}
         sky = None if k in refuted else places.get(k)
         water = None if dry else learnt.water
-        why = refuted.get(k, "")
-        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, no_sky=why, white_matches=white)
+        made[k] = replace(learnt, table=table, sky=sky, water=water, no_sky=refuted.get(k, ""), white_matches=white)
     return made
-
-
-def _refuted(jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int], tuning: Tuning) -> dict[int, str]:
-    """The cameras whose sky is refuted, and by what."""
-    cameras = {job.camera for job in jobs}
-    near = without_sky({k: sum(_of(k, jobs, [s.matches for s in seeds]), NONE) for k in cameras}, tuning.proof)
-    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.labels)
-    return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 
 def _of(camera: int, jobs: Sequence[LabelJob], items: Sequence) -> list:
@@ -289,36 +273,23 @@ def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
 
 
-def _learn_platform(job: tuple[Sequence[Path], int], tuning: Tuning) -> PlatformMask:
-    return learn_platform(*job, tuning)
-
-
-def _pair(job: tuple[Path, Path], tuning: MatchabilityTuning) -> tuple[Matchability, ...]:
-    return pair_matchability(*job, tuning)
-
-
 def _seed_images(
     images: Sequence[Path], seen: Sequence[Matchability], count: int
 ) -> list[tuple[Path, Matchability | None]]:  # with evidence first, then others spread over the sequence
     by_image: dict[Path, Matchability | None] = {e.image: e for e in seen}
-    spread = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, min(count, len(images))).astype(int))]
-    return [(image, by_image.get(image)) for image in dict.fromkeys([*by_image, *spread])]
+    return [(image, by_image.get(image)) for image in dict.fromkeys([*by_image, *spread(images, count)])]
 
 
 def _appearances(
     jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int], tuning: Tuning
-) -> dict[int, Appearance]:
+) -> dict[int, Table]:
     """The appearance for each camera: by its own seeds, and by those of all cameras that look level, or up, as it does.
 
     A pale wall looks like a cloud of another camera's sky; classes that a camera never sees come from the others.
     """
-
-    up = {key: key in upward for key in {job.camera for job in jobs}}
-    shared = {
-        looks_up: _looks([s for job, s in zip(jobs, seeds) if job.upward == looks_up]) for looks_up in up.values()
-    }
-    own = {key: _looks([s for job, s in zip(jobs, seeds) if job.camera == key]) for key in up}
-    return {key: learn_appearance(own[key], tuning.appearance, shared[up[key]]) for key in up}
+    shared = {up: _looks([s for job, s in zip(jobs, seeds) if job.upward == up]) for up in (False, True)}
+    own = {key: _looks(_of(key, jobs, seeds)) for key in {job.camera for job in jobs}}
+    return {key: learn_appearance(looks, tuning.classification, shared[key in upward]) for key, looks in own.items()}
 
 
 def _looks(seeds: Sequence[Labels]) -> dict[int, np.ndarray]:
@@ -329,7 +300,7 @@ def _places(jobs: Sequence[LabelJob], seeds: Sequence[Labels], tuning: LabelTuni
     """Log of P(place | sky) / P(place | scene), (r, c) f4, for each level camera that shows sky at all."""
     found = {}
     for camera in {job.camera for job in jobs if not job.upward}:
-        own = [s.places for job, s in zip(jobs, seeds) if job.camera == camera and s.places[SKY].any()]
+        own = [s.places for s in _of(camera, jobs, seeds) if s.places[SKY].any()]
         if own:
             sky, scene = (cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), 0.7) for c in (SKY, USE))
             ratio = np.log((sky + tuning.place_seeds) / (scene + tuning.place_seeds))

@@ -3,27 +3,19 @@
 Measured on gradients, not on grey values: their direction does not change with the light. An edge of the platform has
 the same direction at the same pixel in every frame, and does not even shake; a far skyline seen from a car has the
 first but not the second. Areas between such edges without any motion are the platform's inside.
+
+By the same comparison of two frames, images are flagged that are hardly worth keeping: the same as the one before, or
+blurred compared with their neighbours.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from tiegraph.masks.frames import grey, read_frames
-from tiegraph.masks.morphology import closed, dilated, eroded, opened
-from tiegraph.masks.tuning import MovedTuning, PlatformTuning, Tuning
-
-
-@dataclass(frozen=True)
-class PlatformMask:
-    """The platform in a camera's images: ``mask`` (h, w) bool, True = platform, None if none was found; and why."""
-
-    mask: np.ndarray | None
-    frames: int  # different frames it was learnt from
-    note: str
+from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened, read_frames, read_small
+from tiegraph.masks.tuning import PlatformTuning, QualityTuning, Tuning
 
 
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
@@ -31,36 +23,32 @@ def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     chosen: list[Path] = []
     last: tuple[np.ndarray, np.ndarray] | None = None
     # Frames tested when choosing those that differ
-    for path, image in read_frames(_spread(images, 160), tuning.frames.compare_px):
-        detail = _detail(grey(image), tuning.moved)
+    for path, image in read_frames(spread(images, 160), tuning.frames.look_px):
+        detail = _detail(image, tuning.platform)
         if last is not None and last[0].shape != detail[0].shape:
             continue
-        if last is not None and not _moved(last, detail, tuning.moved) >= tuning.platform.min_moved:
+        if last is not None and not _moved(last, detail, tuning.platform) >= tuning.platform.min_moved:
             continue
         last = detail
         chosen.append(path)
     return chosen
 
 
-def _spread(items: Sequence[Path], most: int) -> list[Path]:
+def spread(items: Sequence[Path], most: int) -> list[Path]:
+    """At most so many items, spread evenly over all."""
     return [items[k] for k in np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).astype(int))]
 
 
-def _detail(image: np.ndarray, tuning: MovedTuning) -> tuple[np.ndarray, np.ndarray]:
-    fine = np.log(image.astype(np.float32) + tuning.dark_grey)
+def _detail(image: np.ndarray, tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Detail (h, w) f4 of an image u1 BGR, of which the contrast is taken out, and that contrast."""
+    fine = np.log(grey(image).astype(np.float32) + tuning.dark_grey)
     fine -= _blur(fine, 4.0)  # what is coarser is no detail
     contrast = np.sqrt(_blur(fine * fine, tuning.window_sigma_px))
     return fine / (contrast + 0.01), contrast  # a contrast in log grey that counts half
 
 
-def moved_share(a: np.ndarray, b: np.ndarray, tuning: MovedTuning) -> float:
-    """Share 0..1 of the texture of two images (h, w, 3) u1 BGR of one size that has moved; NaN if none."""
-    if a.shape != b.shape:
-        return float("nan")
-    return _moved(_detail(grey(a), tuning), _detail(grey(b), tuning), tuning)
-
-
-def _moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], tuning: MovedTuning) -> float:
+def _moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], tuning: PlatformTuning) -> float:
+    """Share 0..1 of the texture of two images, by their ``_detail``, that has moved; NaN if they have none."""
     both, own_a, own_b = (_blur(p, tuning.window_sigma_px) for p in (a[0] * b[0], a[0] * a[0], b[0] * b[0]))
     alike = both / (np.sqrt(own_a * own_b) + 0.02)
     textured = (a[1] > tuning.texture) & (b[1] > tuning.texture)
@@ -71,37 +59,42 @@ def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
     return cv2.GaussianBlur(image, (0, 0), sigma)
 
 
-def learn_platform(different: Sequence[Path], found: int, tuning: Tuning) -> PlatformMask:
-    """The platform of one camera from images between which the scene has moved; ``found``: images it has in all."""
-    least = tuning.platform.min_frames
+def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], np.ndarray | None, str]:
+    """Of one camera's images in order: those between which the scene has moved, the platform (h, w) bool by them, None
+    if none was found, and what it is, in words."""
+    different, least = different_frames(images, tuning), tuning.platform.min_frames
     if len(different) < least:
-        why = "one image" if found == 1 else f"{found} images, {len(different)} of them different: it hardly moves"
-        return PlatformMask(None, len(different), f"no platform learnt ({why}; {least} are needed)")
-    frames = [
-        # More add time and no certainty
-        grey(image)
-        for _, image in read_frames(_spread(different, 28), tuning.frames.work_px)
-    ]
+        count = len(images)
+        why = "one image" if count == 1 else f"{count} images, {len(different)} of them different: it hardly moves"
+        return different, None, f"no platform learnt ({why}; {least} are needed)"
+    # More add time and no certainty
+    frames = [grey(image) for _, image in read_frames(spread(different, 28), tuning.frames.work_px)]
     shapes = [f.shape for f in frames]
     frames = [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
     mask = platform_of_frames(frames, tuning.platform)
     if len(frames) < 10:
         mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
     if not mask.any():
-        return PlatformMask(None, len(frames), "no platform seen")
-    return PlatformMask(mask, len(frames), f"platform {100 * mask.mean():.0f} %")
+        return different, None, "no platform seen"
+    return different, mask, f"platform {100 * mask.mean():.0f} %"
 
 
 def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
     """Platform (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
-    evidence = _Directions(frames, tuning)
+    coherence, departs, textured = _directions(frames, tuning)
     shake = _shake_px(frames, tuning)
     # Px that an edge may shake, the clearest more: a far scene shakes more
-    still = np.where(evidence.coherence > 0.75, 0.5, 0.35)
-    edges = evidence.coherence > tuning.coherent
+    still = np.where(coherence > 0.75, 0.5, 0.35)
+    edges = coherence > tuning.coherent
     fixed = _long(edges & (shake < still))
-    moving = evidence.moving(edges & (shake > 0.7))  # a coherent edge that shakes by more px moves
-    low, high = _range(frames, tuning)
+    shaking = edges & (shake > 0.7)  # a coherent edge that shakes by more px moves
+    departs, textured = (_blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (departs, textured))
+    moving = departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
+    # Darkest and brightest grey of each pixel over the frames, some left out at either end
+    half = [_blur(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), 1.0) for f in frames]
+    percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
+    extremes = np.percentile(np.stack(half), percent, axis=0).astype(np.float32)
+    low, high = (cv2.resize(grey_level, frames[0].shape[::-1]) for grey_level in extremes)
     steady = high - low < 14.0  # black boxes, burnt-out decks
     inside = _outlined((moving < tuning.moving) & ~fixed, fixed, tuning)
     platform = inside | fixed
@@ -109,7 +102,10 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     platform = closed(platform, 7)  # gaps between edges and inside
     platform = _at_border(platform, tuning.min_area)
     platform = opened(platform | _enclosed(platform, moving), tuning.open_px)
-    platform = _trimmed(_at_border(platform, tuning.min_area), tuning)
+    platform = _at_border(platform, tuning.min_area)
+    # Without the blurred rim of its edges; parts narrower than a railing stay
+    side = 2 * round(tuning.rim * max(platform.shape)) + 1
+    platform = eroded(platform, side) | (platform & ~opened(platform, side + 2))
     # Round the image of a fisheye lens nothing is ever seen
     black = _outlined(high < 12.0, fixed, tuning)  # a black backdrop ends nowhere in particular
     black = _at_border(black, tuning.min_area)
@@ -117,53 +113,34 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     return platform | dilated(black, 2 * round((4 / 640) * max(black.shape)) + 1) if black.any() else platform
 
 
-def _trimmed(platform: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
-    """The platform without the blurred rim of its edges; parts narrower than a railing stay."""
-    side = 2 * round(tuning.rim * max(platform.shape)) + 1
-    inner = eroded(platform, side)
-    return inner | (platform & ~opened(platform, side + 2))
-
-
-class _Directions:
-    """Mean direction of the gradients over the frames, and how often each frame's departs from it."""
-
-    def __init__(self, frames: Sequence[np.ndarray], tuning: PlatformTuning) -> None:
-        self.tuning = tuning
-        unit = [_unit_gradient(f, tuning) for f in frames]
-        self.sum_x, self.sum_y = sum(u[0] for u in unit), sum(u[1] for u in unit)
-        count = len(frames)
-        departs: np.ndarray = np.zeros(frames[0].shape, np.float32)
-        textured: np.ndarray = np.zeros_like(departs)
-        strength: np.ndarray = np.zeros_like(departs)
-        for x, y in unit:
-            size = np.sqrt(x * x + y * y)
-            others_x, others_y = self.sum_x - x, self.sum_y - y  # a frame is no witness for itself
-            others = np.sqrt(others_x * others_x + others_y * others_y) + 1e-6
-            clear = size > 0.5  # share of its full weight from which a gradient is texture
-            departs += clear & ((x * others_x + y * others_y) < 0.5 * others)
-            textured += clear
-            strength += size
-        self.departs, self.textured, strength = departs / count, textured / count, strength / count
-        length = np.sqrt(self.sum_x**2 + self.sum_y**2) / count
-        self.coherence = np.where(strength > 0.3, length / (strength + 0.15), 0)  # weak edges are less coherent
-
-    def moving(self, shaking: np.ndarray) -> np.ndarray:
-        """Share (h, w) of the textured frames whose gradient departs, in the neighbourhood; shaking edges move."""
-        departs, textured = (
-            _blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (self.departs, self.textured)
-        )
-        return departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
-
-
-def _unit_gradient(frame: np.ndarray, tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
-    smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
-    x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
-    size = np.sqrt(x * x + y * y) + 14.0  # a gradient this strong counts half (Sobel gain 8)
-    return x / size, y / size
+def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Length (h, w) of the mean direction of the gradients over the frames; shares (h, w) of the frames whose gradient
+    departs from that of the others, and which have texture."""
+    unit = []
+    for frame in frames:
+        smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
+        x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
+        size = np.sqrt(x * x + y * y) + 14.0  # a gradient this strong counts half (Sobel gain 8)
+        unit.append((x / size, y / size))
+    sum_x, sum_y = sum(u[0] for u in unit), sum(u[1] for u in unit)
+    departs, textured, strength = np.zeros((3, *frames[0].shape), np.float32)
+    for x, y in unit:
+        size = np.sqrt(x * x + y * y)
+        others_x, others_y = sum_x - x, sum_y - y  # a frame is no witness for itself
+        others = np.sqrt(others_x * others_x + others_y * others_y) + 1e-6
+        clear = size > 0.5  # share of its full weight from which a gradient is texture
+        departs += clear & ((x * others_x + y * others_y) < 0.5 * others)
+        textured += clear
+        strength += size
+    count = len(frames)
+    strength /= count
+    length = np.sqrt(sum_x**2 + sum_y**2) / count
+    coherence = np.where(strength > 0.3, length / (strength + 0.15), 0)  # weak edges are less coherent
+    return coherence, departs / count, textured / count
 
 
 def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
-    """How far the texture around each pixel moves against its median, pixels (``shake_share`` of the frames move less).
+    """How far the texture around each pixel moves against its median, pixels (0.7 of the frames move less).
 
     One step of Lucas and Kanade along the gradient of the median, on detail of which the contrast is taken out.
     """
@@ -181,15 +158,6 @@ def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarra
     steps = [np.hypot(_blur((d - median) * x, around), _blur((d - median) * y, around)) / energy for d in detail]
     rank = int(0.7 * (len(steps) - 1))
     return np.partition(np.stack(steps), rank, axis=0)[rank]
-
-
-def _range(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Darkest and brightest grey (h, w) f4 of each pixel over the frames, some left out at either end."""
-    half = [cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for f in frames]
-    percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
-    low, high = np.percentile(np.stack([_blur(h, 1.0) for h in half]), percent, axis=0)
-    shape = frames[0].shape[::-1]
-    return cv2.resize(low.astype(np.float32), shape), cv2.resize(high.astype(np.float32), shape)
 
 
 def _long(edges: np.ndarray) -> np.ndarray:
@@ -239,3 +207,49 @@ def _enclosed(platform: np.ndarray, moving: np.ndarray) -> np.ndarray:
     accepted |= area < 0.0005 * platform.size
     accepted[0] = False
     return accepted[labels]
+
+
+# --- images that are hardly worth keeping ----------------------------------------------------------------------------
+
+
+def image_quality(image: Path, before: Path | None, use: np.ndarray, tuning: Tuning) -> tuple[float, float]:
+    """Sharpness of an image, the share of its detail that is fine, and the share of its texture that moved since the
+    one ``before``; on the pixels (h, w) bool that its mask uses, at any size. NaN where there is nothing to measure."""
+    here = read_small(image, tuning.frames.work_px)
+    sharp = _sharpness(grey(here), full_size(use, here.shape[:2]), tuning.quality)
+    if before is None:
+        return sharp, float("nan")
+    other = read_small(before, tuning.frames.look_px)
+    same = cv2.resize(here, other.shape[1::-1], interpolation=cv2.INTER_AREA)
+    return sharp, _moved(_detail(other, tuning.platform), _detail(same, tuning.platform), tuning.platform)
+
+
+def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: QualityTuning) -> float:
+    # Detail of one pixel against detail of four: blur takes the first away, darkness and haze take both.
+    if use.mean() < tuning.min_used:
+        return float("nan")
+    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), 0.7)  # the noise of pixels is taken out first
+    medium, coarse = (cv2.GaussianBlur(fine, (0, 0), s) for s in (1.4, 5.6))
+    inner = eroded(use, tuning.rim_px)
+    if not inner.any():
+        return float("nan")
+    energy = float(np.mean(np.square(medium - coarse)[inner]))
+    return float(np.sqrt(np.mean(np.square(fine - medium)[inner]) / energy)) if energy > 0 else float("nan")
+
+
+def flags(quality: Sequence[tuple[float, float]], tuning: QualityTuning) -> list[str]:
+    """By ``image_quality`` of the images of a camera in order: why one is hardly worth keeping, with its figure; "" if
+    it is."""
+    sharp = np.array([sharpness for sharpness, _ in quality])
+    found, reach = [], tuning.neighbours
+    for k, (sharpness, moved) in enumerate(quality):
+        around = np.delete(sharp[max(0, k - reach) : k + reach + 1], min(k, reach))
+        around = around[np.isfinite(around)]
+        relative = sharpness / np.median(around) if len(around) >= tuning.least_neighbours else float("nan")
+        if relative < tuning.blurred:
+            found.append(f"blurred: {relative:.2f} of its neighbours' sharpness")
+        elif moved < tuning.similar:
+            found.append(f"similar: {100 * moved:.0f} % of its texture moved since the image before")
+        else:
+            found.append("")
+    return found

@@ -10,9 +10,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.masks import SKY, USE
-from tiegraph.masks.morphology import dilated, eroded, scaled
-from tiegraph.masks.tuning import SkyPointsTuning
-from tiegraph.masks.tuning_learnt import SkylineTuning
+from tiegraph.masks.frames import dilated, eroded, full_size, grey
+from tiegraph.masks.tuning import SkylineTuning, SkyPointsTuning
 
 _GAMMA = 2.0  # Shen and Wang, section 3: it is part of their energy J
 
@@ -28,8 +27,8 @@ def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None 
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     free = np.ones(small.shape[:2], bool)
     if ego is not None:
-        free = ~np.logical_and.accumulate(scaled(ego, small.shape[:2]), axis=0)
-    brightness = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.float32)
+        free = ~np.logical_and.accumulate(full_size(ego, small.shape[:2]), axis=0)
+    brightness = grey(small).astype(np.float32)
     x, y = cv2.Sobel(brightness, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(brightness, cv2.CV_32F, 0, 1, ksize=3)
     gradient = np.sqrt(x * x + y * y)
     gradient[0] = 0  # a border on the first row leaves nothing
@@ -43,7 +42,7 @@ def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None 
     if sky is None or not _believable(small, gradient, sky & free, ~sky & free, tuning):
         return None
     sky = eroded(sky & free, tuning.rim_px)
-    return cv2.resize(sky.astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    return full_size(sky, image.shape[:2])
 
 
 def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
@@ -79,8 +78,7 @@ def _believable(
     inner = eroded(sky, tuning.inner_px)
     if not inner.any() or not ground.any():
         return False
-    yellow = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2]
-    brightness = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    yellow, brightness = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2], grey(image)
     if brightness[sky].mean() < max(60.0, brightness[ground].mean() + 12.0):
         return False
     if np.median(yellow[sky]) > 128 + 10.0:  # sand and sunlit plaster are yellow
@@ -93,8 +91,8 @@ def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTunin
 
     ``matched`` (h, w) bool: round the features that were found again in another frame.
     """
-    brightness = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    around = (tuning.up_window_px, tuning.up_window_px)
+    brightness = grey(image).astype(np.float32)
+    around = (tuning.inner_px, tuning.inner_px)
     mean = cv2.blur(brightness, around)
     deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, around) - mean * mean, 0))
     calm = eroded((deviation < 4.0) & ~matched, tuning.rim_px).astype(np.uint8)
@@ -125,31 +123,20 @@ def without_points(classes: np.ndarray, points: np.ndarray, tuning: SkyPointsTun
     column, row = (points * (width, height)).astype(int).T
     hit[row.clip(0, height - 1), column.clip(0, width - 1)] = 1
     outside = float(hit[sky == 0].mean())
-    apart = cv2.morphologyEx(sky, cv2.MORPH_OPEN, _square(tuning.joint, sky.shape))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(apart, connectivity=4)
+    joint, hole, edge = (_square(share, sky.shape) for share in (tuning.joint, tuning.hole, tuning.edge))
+    count, labels = cv2.connectedComponents(cv2.morphologyEx(sky, cv2.MORPH_OPEN, joint), connectivity=4)
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
-        window = _window(stats[piece], sky.shape, tuning.hole)
-        if np.count_nonzero(hit[window]) < tuning.least_points:
-            continue
-        own = labels[window] == piece
-        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, _square(tuning.hole, sky.shape))
-        inner = cv2.erode(filled, _square(tuning.edge, sky.shape), borderValue=1) > 0
-        found = int(hit[window][inner].sum())
+        own = labels == piece
+        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, hole)
+        inner = cv2.erode(filled, edge, borderValue=1) > 0
+        found = int(hit[inner].sum())
         if found >= tuning.least_points and found > tuning.dense * outside * inner.sum():
-            solid[window] |= own
-    grown = cv2.dilate(solid.astype(np.uint8), _square(tuning.joint, sky.shape)) > 0  # what the opening took off
+            solid |= own
+    grown = cv2.dilate(solid.astype(np.uint8), joint) > 0  # what the opening took off
     return np.where(grown & (sky > 0), USE, classes).astype(np.uint8)
 
 
 def _square(share: float, shape: tuple[int, ...]) -> np.ndarray:
     side = 2 * round(share * max(shape) / 2) + 1
     return np.ones((side, side), np.uint8)
-
-
-def _window(stats: np.ndarray, shape: tuple[int, ...], share: float) -> tuple[slice, slice]:
-    """The box of a piece, with room for closing it, a ``share`` of the longer side."""
-    room = round(share * max(shape))
-    left, top = max(0, stats[cv2.CC_STAT_LEFT] - room), max(0, stats[cv2.CC_STAT_TOP] - room)
-    right = stats[cv2.CC_STAT_LEFT] + stats[cv2.CC_STAT_WIDTH] + room
-    return slice(top, stats[cv2.CC_STAT_TOP] + stats[cv2.CC_STAT_HEIGHT] + room), slice(left, right)

@@ -12,7 +12,7 @@ of the mesh is cut away.
 
 A patch is a rectangle of its image (`texture.py`), as Waechter, Moehrle and Goesele (2014) have it: nothing is
 unwrapped, so no picture is stretched. Finer images are reduced until all
-fits on a few textures, with pixels of one size on the object. Their colours are levelled across seams (`levelling.py`).
+fits on a few textures, with pixels of one size on the object. Their colours are levelled across seams.
 
 The mesh is one piece in memory: 2 GB for the 1.1 million points of the example; larger clouds are thinned.
 """

@@ -65,6 +65,13 @@ def glb(textured: Textured, pictures: Sequence[bytes], said: dict) -> bytes:
         indices = accessor(corners, "SCALAR", _UINT, _ELEMENTS)
         primitives.append({"attributes": attributes, "indices": indices, "material": k})
     images = [{"bufferView": view(p), "mimeType": "image/jpeg"} for p in pictures]
+    # Images have their light in them already, so the faces get none
+    looks = [
+        {"baseColorTexture": {"index": k}, "metallicFactor": 0.0, "roughnessFactor": 1.0} for k in range(len(images))
+    ]
+    materials = [
+        {"pbrMetallicRoughness": look, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}} for look in looks
+    ]
     body = b"".join(blobs)
     document = {
         "asset": {"version": "2.0", "generator": "tiegraph", "extras": said},
@@ -73,7 +80,7 @@ def glb(textured: Textured, pictures: Sequence[bytes], said: dict) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "matrix": _Y_UP}],
         "meshes": [{"primitives": primitives}],
-        "materials": [_material(k) for k in range(len(pictures))],
+        "materials": materials,
         "textures": [{"source": k, "sampler": 0} for k in range(len(pictures))],
         "images": images,
         "samplers": [{"wrapS": _CLAMP, "wrapT": _CLAMP}],
@@ -87,12 +94,6 @@ def glb(textured: Textured, pictures: Sequence[bytes], said: dict) -> bytes:
     return b"".join(
         [head, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(body), b"BIN\0"), body]
     )
-
-
-def _material(texture: int) -> dict:
-    """Images have their light in them already, so the faces get none."""
-    look = {"baseColorTexture": {"index": texture}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
-    return {"pbrMetallicRoughness": look, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}}
 
 
 def _single(mesh: Mesh, shares: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

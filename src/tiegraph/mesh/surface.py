@@ -74,10 +74,6 @@ class Mesh:
         pairs = np.sort(np.stack([face[:-1][same], face[1:][same]], axis=1), axis=1)
         return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
 
-    def pieces(self) -> np.ndarray:
-        """(F,) number of the connected piece that a face is of."""
-        return pieces(len(self.corners), self.neighbours())
-
 
 def trimmed_border(mesh: Mesh, rounds: int) -> tuple[Mesh, np.ndarray]:
     """A mesh without teeth along its border, and which faces (F,) bool it has: faces with two free edges go, so many
@@ -144,7 +140,7 @@ def mesh_of(
 
 def without_strays(mesh: Mesh, tuning: SurfaceTuning) -> np.ndarray:
     """(F,) bool, False for the faces of small pieces."""
-    piece = mesh.pieces()
+    piece = pieces(len(mesh.corners), mesh.neighbours())
     count = np.bincount(piece)
     return np.asarray(count[piece] >= min(count.max(initial=0), tuning.least_share * len(piece)))
 

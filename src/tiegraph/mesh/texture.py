@@ -3,6 +3,10 @@
 Each patch of faces that have their colours from one image is a rectangle of that image, reduced where it is finer than
 the others, so there is nothing to unwrap and nothing is stretched. Faces that no image sees have 2 x 2 pixels each,
 between whose corners the colours of their vertices are interpolated.
+
+Colours of patches are made equal where they meet: what is added to those of a patch varies smoothly over it, so that
+two patches agree along their border (Lempitsky and Ivanov 2007; Waechter, Moehrle and Goesele 2014), by least squares
+over all vertices of all patches.
 """
 
 from collections.abc import Sequence
@@ -10,11 +14,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix, diags, identity
+from scipy.sparse.linalg import cg
 
 from tiegraph.errors import ReconstructionError
-from tiegraph.mesh.fragments import fragments
 from tiegraph.mesh.surface import Mesh
-from tiegraph.mesh.views import UNSEEN, View, focal, patches, project
+from tiegraph.mesh.tuning import TextureTuning
+from tiegraph.mesh.views import UNSEEN, View, focal, fragments, patches, project
 from tiegraph.scene.sorting import Arrays
 
 PAD = 2
@@ -24,6 +30,8 @@ _FULL = 0.9  # share of the textures that rectangles may fill
 _COARSER = 1.05  # how much coarser it is tried again where they do not fit
 _ALONG = 8  # places along the edge of a seam whose colours are compared
 _WITHIN = 0.15  # of the height of its face: how far within they lie
+_HELD = 1e-4  # weight by which colours stay: what no border tells
+_CLOSE, _MOST_ROUNDS = 1e-4, 1000  # of conjugate gradients
 _ROWS = 1 << 14  # places that OpenCV takes at once
 
 
@@ -71,21 +79,21 @@ def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[View], edge: int, mo
     image = label[seen][np.argsort(patch[seen], kind="stable")[first]]
     low, size, pixel = _rectangles(mesh, patch, image, views)
     bare = int(np.count_nonzero(~seen))
-    inner, packed = _fitting(size, pixel, bare, edge, most)
-    columns = packed.bare_columns
+    columns = int(np.clip(np.ceil(np.sqrt(bare)), 1, edge // _BARE))
+    block = np.array([[_BARE * columns, _BARE * -(-bare // columns)]] if bare else np.zeros((0, 2)), int)
+    inner, (page, at, pages) = _fitting(size, pixel, block, edge, most)
     k = np.arange(bare)
-    bare_at = packed.at[-1] + _BARE * np.stack([k % columns, k // columns], axis=1) if bare else np.zeros((0, 2), int)
     return Layout(
         patch=patch,
         image=image,
         low=low,
         size=size,
-        page=packed.page[: len(size)],
-        at=packed.at[: len(size)] + PAD,
+        page=page[: len(size)],
+        at=at[: len(size)] + PAD,
         inner=inner,
-        bare_page=np.full(bare, packed.page[-1] if bare else 0),
-        bare_at=bare_at + 1,
-        pages=packed.pages,
+        bare_page=np.full(bare, page[-1] if bare else 0),
+        bare_at=(at[-1] if bare else 0) + _BARE * np.stack([k % columns, k // columns], axis=1) + 1,
+        pages=pages,
     )
 
 
@@ -107,34 +115,24 @@ def _rectangles(
     return first, np.maximum(np.ceil(high).astype(int) - first, 1), total[0] / np.maximum(total[1], 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Packed:
-    page: np.ndarray
-    at: np.ndarray
-    pages: np.ndarray
-    bare_columns: int
-
-
-def _fitting(size: np.ndarray, pixel: np.ndarray, bare: int, edge: int, most: int) -> tuple[np.ndarray, _Packed]:
-    """Sizes (P, 2) of the patches that fit on the textures, and where they are; the last is that of unseen faces."""
+def _fitting(
+    size: np.ndarray, pixel: np.ndarray, block: np.ndarray, edge: int, most: int
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Sizes (P, 2) of the patches with which they and a block (0 or 1, 2) fit on the textures, and where all are
+    (``_pack``)."""
     texel = _texel(size, pixel, _FULL * most * edge**2)
     while True:
-        inner = _inner(size, pixel, texel, edge)
-        packed = _pack(inner + 2 * PAD, bare, edge)
-        if len(packed.pages) <= most:
+        scale = np.minimum(1.0, pixel / texel if texel else 1.0)
+        scale = np.minimum(scale, (edge - 2 * PAD) / size.max(axis=1, initial=1))
+        inner = np.maximum(np.floor(size * scale[:, None] + 1e-9), 1).astype(int)
+        packed = _pack(np.concatenate([inner + 2 * PAD, block]), edge)
+        if len(packed[2]) <= most:
             return inner, packed
         if inner.max(initial=1) == 1:
             raise ReconstructionError(
                 f"{len(size)} patches do not fit on {most} textures of {edge} pixels: raise --mesh.texture-px"
             )
         texel = max(texel, float(pixel.min())) * _COARSER
-
-
-def _inner(size: np.ndarray, pixel: np.ndarray, texel: float, edge: int) -> np.ndarray:
-    """Sizes (P, 2) of the patches where a pixel of a texture has the size ``texel`` at least."""
-    scale = np.minimum(1.0, pixel / texel if texel else 1.0)
-    scale = np.minimum(scale, (edge - 2 * PAD) / size.max(axis=1, initial=1))
-    return np.maximum(np.floor(size * scale[:, None] + 1e-9), 1).astype(int)
 
 
 def _texel(size: np.ndarray, pixel: np.ndarray, area: float) -> float:
@@ -153,11 +151,9 @@ def _texel(size: np.ndarray, pixel: np.ndarray, area: float) -> float:
     return high
 
 
-def _pack(size: np.ndarray, bare: int, edge: int) -> _Packed:
-    """Rectangles (P, 2), and one for the unseen faces, put on shelves, the highest first."""
-    columns = int(np.clip(np.ceil(np.sqrt(bare)), 1, edge // _BARE))
-    if bare:
-        size = np.concatenate([size, [[_BARE * columns, _BARE * -(-bare // columns)]]])
+def _pack(size: np.ndarray, edge: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rectangles (P, 2) put on shelves, the highest first: the texture (P,) and the place (P, 2) of each, and the sizes
+    (T, 2) of the textures."""
     area = float(np.prod(size, axis=1).sum())
     wide = int(min(edge, max(np.ceil(np.sqrt(area / _FULL)), size.max(initial=4))))
     page, at = np.zeros(len(size), int), np.zeros((len(size), 2), int)
@@ -180,29 +176,23 @@ def _pack(size: np.ndarray, bare: int, edge: int) -> _Packed:
         page[k], at[k] = shelf_page[s], (shelf_x[s], shelf_y[s])
         shelf_x[s] += int(width)
         room[s] -= width
-    pages = np.array([[wide, max(t, 1)] for t in top])
-    return _Packed(page=page, at=at, pages=pages, bare_columns=columns)
+    return page, at, np.array([[wide, max(t, 1)] for t in top])
 
 
 def places(mesh: Mesh, layout: Layout, views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     """Where the corners of faces are on the textures: (F, 3, 2) pixels, and the texture (F,) of each face."""
     uv, page = np.zeros((len(mesh.corners), 3, 2)), np.zeros(len(mesh.corners), int)
     for k in np.unique(layout.image):
-        face = np.flatnonzero((layout.patch != UNSEEN) & (layout.image[layout.patch] == k))
+        face = own_faces(layout, k)
         patch = layout.patch[face]
         xy = project(views[k].camera, mesh.xyz[mesh.corners[face]])[0]
-        uv[face] = layout.at[patch][:, None] + _in_chart(xy, layout, patch)
+        scale = layout.inner[patch] / layout.size[patch]
+        uv[face] = layout.at[patch][:, None] + (xy - layout.low[patch][:, None]) * scale[:, None]
         page[face] = layout.page[patch]
     bare = np.flatnonzero(layout.patch == UNSEEN)
     uv[bare] = layout.bare_at[:, None] + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])
     page[bare] = layout.bare_page
     return uv, page
-
-
-def _in_chart(xy: np.ndarray, layout: Layout, patch: np.ndarray) -> np.ndarray:
-    """Pixels of an image (N, 3, 2) as pixels of their patches' rectangles on the textures."""
-    scale = layout.inner[patch] / layout.size[patch]
-    return np.asarray((xy - layout.low[patch][:, None]) * scale[:, None])
 
 
 def nodes_of(mesh: Mesh, layout: Layout) -> Nodes:
@@ -244,16 +234,14 @@ def cut_out(rgb: np.ndarray, layout: Layout, k: int) -> list[np.ndarray]:
         size = layout.inner[p] + 2 * PAD
         shift = wide - PAD * scale
         move = np.array([[scale[0], 0, shift[0] + scale[0] / 2 - 0.5], [0, scale[1], shift[1] + scale[1] / 2 - 0.5]])
-        out.append(_reduced(whole, move, (int(size[0]), int(size[1])), float(scale.max())))
+        coarser = float(scale.max())
+        if coarser > 1.2:  # smoothed to the distance of the pixels
+            whole = cv2.GaussianBlur(whole, (0, 0), 0.45 * np.sqrt(coarser**2 - 1))
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        out.append(
+            cv2.warpAffine(whole, move, (int(size[0]), int(size[1])), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        )
     return out
-
-
-def _reduced(rgb: np.ndarray, move: np.ndarray, size: tuple[int, int], scale: float) -> np.ndarray:
-    """A picture at the places that ``move`` (2, 3) gives for the pixels of another, smoothed to their distance."""
-    if scale > 1.2:
-        rgb = cv2.GaussianBlur(rgb, (0, 0), 0.45 * np.sqrt(scale**2 - 1))
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(rgb, move, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
 def own_faces(layout: Layout, k: int) -> np.ndarray:
@@ -314,3 +302,42 @@ def bare_blocks(rgb: np.ndarray) -> np.ndarray:
     a, b, c = (rgb[:, k].astype(float) for k in range(3))
     inner = np.stack([np.stack([a, b], axis=1), np.stack([c, b + c - a], axis=1)], axis=1)
     return np.clip(np.rint(np.pad(inner, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="edge")), 0, 255).astype(np.uint8)
+
+
+# --- colours made equal across seams ----------------------------------------------------------------------------------
+
+
+def levelled(nodes: Nodes, edges: np.ndarray, tuning: TextureTuning) -> np.ndarray:
+    """(N, 3) what is added to the colours of nodes, by the colours (S, 2, 3) that both patches of each seam have along
+    it."""
+    count = len(nodes.vertex)
+    if not count:
+        return np.zeros((0, 3))
+    corner = nodes.corner[nodes.corner[:, 0] != UNSEEN]
+    inside = np.unique(np.sort(corner[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    across = _rows(nodes.seam, np.array([0.5, 0.5, -0.5, -0.5]), count)
+    along = _rows(inside, np.sqrt(tuning.smooth) * np.array([1.0, -1.0]), count)
+    system = (across.T @ across + along.T @ along + _HELD * identity(count)).tocsr()
+    wanted = across.T @ (edges[:, 1] - edges[:, 0])
+    inverse = diags(1 / system.diagonal())
+    solved = [cg(system, wanted[:, c], rtol=_CLOSE, maxiter=_MOST_ROUNDS, M=inverse)[0] for c in range(3)]
+    return np.stack(solved, axis=1)
+
+
+def _rows(nodes: np.ndarray, weights: np.ndarray, count: int) -> csr_matrix:
+    """(M, count) of equations between nodes (M, K) with weights (K,)."""
+    row = np.repeat(np.arange(len(nodes)), nodes.shape[1])
+    return coo_matrix((np.tile(weights, len(nodes)), (row, nodes.ravel())), (len(nodes), count)).tocsr()
+
+
+def vertex_mean(mesh: Mesh, nodes: Nodes, change: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) u1 colours of the vertices: the mean of the colours (F, 3) of the faces around, NaN = not known, with what
+    was added to them; that of the mesh where none is known."""
+    known = np.isfinite(faces[:, 0])
+    level = faces[known] + change[nodes.corner[known]].mean(axis=1)
+    total = np.zeros(mesh.rgb.shape)
+    for k in range(3):
+        np.add.at(total, mesh.corners[known, k], level)
+    count = np.bincount(mesh.corners[known].ravel(), minlength=len(total))[:, None]
+    mean = np.where(count > 0, total / np.maximum(count, 1), mesh.rgb)
+    return np.clip(np.rint(mean), 0, 255).astype(np.uint8)

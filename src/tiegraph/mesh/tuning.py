@@ -47,7 +47,7 @@ class ViewTuning(Section):
 
 
 class TextureTuning(Section):
-    """Textures (`texture.py`) and their colours (`levelling.py`)."""
+    """Textures and their colours (`texture.py`)."""
 
     most: int = Field(4, ge=1)
     """Textures at most: what viewers in a browser load without trouble."""

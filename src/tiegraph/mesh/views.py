@@ -5,6 +5,7 @@ before it what the mesh does not have. An image that sees a face whole counts by
 angle. Neighbours then agree on few images: a Potts field over the faces, solved by its mean field.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -13,7 +14,6 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.mesh.fragments import fragments
 from tiegraph.mesh.surface import Mesh, hanging, pieces
 from tiegraph.mesh.tuning import ViewTuning
 from tiegraph.scene.results import DepthMap
@@ -24,6 +24,7 @@ _FINEST = 1600  # pixels along the longer side of a buffer: bounds its memory an
 _STEEPEST = 5.0  # tangent of the angle at which a face is seen, for how far its depth may be off
 _AROUND_PX = 16  # pixels of a buffer along the edge of a cell, in which places are counted whose depth it confirms
 _FACES = 200_000  # drawn at once
+_PIXELS = 4_000_000  # pixels that are looked at together: bounds the memory to some 300 MB
 _MOST_VIEWS = 8  # of a face that are compared: the best
 _ABSORBED = 3  # times that small patches go to their neighbours
 
@@ -68,8 +69,13 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     size = (max(1, round(camera.size[0] * shrunk)), max(1, round(camera.size[1] * shrunk)))
     scale = np.array(camera.size) / size
     corners = mesh.corners
-    faces = np.flatnonzero(_inside(xy, z, camera.size, corners))
-    depth = _drawn(xy / scale, z, corners[_touching(xy, z, camera.size, corners)], size[::-1])
+    with np.errstate(invalid="ignore"):
+        there = (z > 0) & (xy >= 0).all(axis=1) & (xy <= camera.size).all(axis=1)
+        out = [xy[:, 0] < 0, xy[:, 1] < 0, xy[:, 0] > camera.size[0], xy[:, 1] > camera.size[1]]
+    faces = np.flatnonzero(there[corners].all(axis=1))
+    beside = np.any([side[corners].all(axis=1) for side in out], axis=0)
+    touching = (z > 0)[corners].all(axis=1) & ~beside
+    depth = _drawn(xy / scale, z, corners[touching], size[::-1])
     middle = mesh.xyz[corners[faces]].mean(axis=1)
     towards = transforms.centre(camera.cam_from_world) - middle
     distance = np.linalg.norm(towards, axis=1)
@@ -86,29 +92,17 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
         column, row = (np.clip((place / scale).astype(int)[:, a], 0, size[a] - 1) for a in (0, 1))
         plain &= there <= depth[row, column] + play
         free &= there <= depth[row, column] + play + rough
-    confirmed = _confirmed(own, at, deep, play, size, scale, tuning)
-    away = _away(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
+    confirmed = _confirmed(own, at, deep, play, camera.size, tuning)
+    # Distance to the image border or mask as a share of the shorter side, 0 = masked
+    usable = np.pad(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999, 1)
+    away = cv2.distanceTransform(usable.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / min(size)
+    away = away[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
     free &= (away > 0) & (confirmed >= 0)
     inner = np.minimum(1.0, away / tuning.border)
     share = _share_around(at / scale, confirmed, size)
     quality = front**tuning.angle_power / pixel * inner * (tuning.unconfirmed + share)
     quality *= np.where(plain, 1.0, tuning.nearly)
     return Seen(faces[free], quality[free].astype(np.float32))
-
-
-def _inside(xy: np.ndarray, z: np.ndarray, size: tuple[int, int], corners: np.ndarray) -> np.ndarray:
-    """Which faces lie in the image with all corners."""
-    with np.errstate(invalid="ignore"):
-        there = (z > 0) & (xy >= 0).all(axis=1) & (xy <= size).all(axis=1)
-    return np.asarray(there[corners].all(axis=1))
-
-
-def _touching(xy: np.ndarray, z: np.ndarray, size: tuple[int, int], corners: np.ndarray) -> np.ndarray:
-    """Which faces before the camera may touch the image."""
-    with np.errstate(invalid="ignore"):
-        out = [xy[:, 0] < 0, xy[:, 1] < 0, xy[:, 0] > size[0], xy[:, 1] > size[1]]
-    beside = np.any([side[corners].all(axis=1) for side in out], axis=0)
-    return np.asarray((z > 0)[corners].all(axis=1) & ~beside)
 
 
 def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -122,27 +116,14 @@ def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int,
     return cv2.erode(depth, np.ones((3, 3), np.uint8))
 
 
-def _away(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(h, w) distance to the image border or mask as a share of the shorter side, 0 = masked."""
-    usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-    padded = np.pad(usable.astype(np.uint8), 1)
-    return cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / min(size)
-
-
 def _confirmed(
-    own: DepthMap | None,
-    at: np.ndarray,
-    deep: np.ndarray,
-    play: np.ndarray,
-    size: tuple[int, int],
-    scale: np.ndarray,
-    tuning: ViewTuning,
+    own: DepthMap | None, at: np.ndarray, deep: np.ndarray, play: np.ndarray, size: tuple[int, int], tuning: ViewTuning
 ) -> np.ndarray:
     """(N,) 1 where the image's own depth is that of the places, 0 where it has none, -1 where it lies before them."""
     if own is None:
         return np.zeros(len(at))
     high, wide = own.depth_m.shape
-    ratio = np.array([wide, high]) / (np.array(size) * scale)
+    ratio = np.array([wide, high]) / np.array(size)
     column, row = (np.clip((at * ratio).astype(int)[:, a], 0, (wide, high)[a] - 1) for a in (0, 1))
     behind = deep - own.depth_m[row, column]
     close = play * max(1.0, 1 / float(ratio.min())) + tuning.shade_sigmas * own.sigma_m[row, column]
@@ -238,3 +219,56 @@ def without_bubbles(mesh: Mesh, label: np.ndarray) -> np.ndarray:
     """(F,) bool, False for what no image sees and what reaches the border of the mesh: there it is a guess. What is
     unseen in the midst of seen faces, such as a crack, stays."""
     return ~hanging(mesh, label == UNSEEN)
+
+
+# --- triangles drawn into a raster ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Fragments:
+    """Pixels of triangles: triangle (N,), row (N,), column (N,), and the weights (N, 3) of the triangle's corners at
+    the pixel's middle."""
+
+    triangle: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    weight: np.ndarray
+
+
+def fragments(xy: np.ndarray, shape: tuple[int, int], slack: float = 0.0) -> Iterator[Fragments]:
+    """The pixels whose middles lie in triangles (T, 3, 2), whose corners are in pixels (0, 0 = the corner of the first
+    pixel), of a raster of ``shape`` (rows, columns); a few million at a time. ``slack``: how far outside, as a weight,
+    a middle may lie."""
+    low = np.clip(np.ceil(xy.min(axis=1) - 0.5 - slack), 0, None).astype(np.int64)
+    high = np.floor(xy.max(axis=1) - 0.5 + slack).astype(np.int64)
+    high = np.minimum(high, np.array(shape[::-1]) - 1)
+    size = np.maximum(high - low + 1, 0)
+    count = size[:, 0] * size[:, 1]
+    ends = np.cumsum(count)
+    start = 0
+    while start < len(xy):
+        done = ends[start - 1] if start else 0
+        stop = max(int(np.searchsorted(ends, done + _PIXELS, "right")), start + 1)
+        found = _of(xy, slice(start, stop), low, size, slack)
+        if len(found.triangle):
+            yield found
+        start = stop
+
+
+def _of(xy: np.ndarray, part: slice, low: np.ndarray, size: np.ndarray, slack: float) -> Fragments:
+    """The pixels of some of the triangles."""
+    wide = size[part, 0]
+    count = wide * size[part, 1]
+    triangle = np.repeat(np.arange(len(count)), count)
+    k = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    down, right = np.divmod(k, wide[triangle])
+    column, row = low[part, 0][triangle] + right, low[part, 1][triangle] + down
+    a, b, c = xy[part, 0], xy[part, 1], xy[part, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle without an area has none
+        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        dx, dy = column + 0.5 - a[triangle, 0], row + 0.5 - a[triangle, 1]
+        second = (dx * (c[:, 1] - a[:, 1])[triangle] - dy * (c[:, 0] - a[:, 0])[triangle]) / area[triangle]
+        third = (dy * (b[:, 0] - a[:, 0])[triangle] - dx * (b[:, 1] - a[:, 1])[triangle]) / area[triangle]
+    weight = np.stack([1 - second - third, second, third], axis=1)  # barycentric
+    inside = (weight >= -slack).all(axis=1)
+    return Fragments(part.start + triangle[inside], row=row[inside], column=column[inside], weight=weight[inside])

@@ -17,9 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tiegraph.masks.frames import full_size, image_size, small_shape, two_frames
+from tiegraph.masks.frames import full_size, image_size, opened_closed, small_shape, two_frames, without_small
 from tiegraph.masks.learnt import Map
-from tiegraph.masks.morphology import opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import Camera, MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning

@@ -16,8 +16,17 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tiegraph.masks.frames import full_size, grey, image_size, read_small, two_frames
-from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, without_small
+from tiegraph.masks.frames import (
+    block_share,
+    from_blocks,
+    full_size,
+    grey,
+    image_size,
+    masked_neighbours,
+    read_small,
+    two_frames,
+    without_small,
+)
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each, nothing
 from tiegraph.masks.tuning import Meguro2025Tuning

@@ -11,16 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.dense.consistency import Consistency
-from tiegraph.dense.depth import confirmed_map, depth_map
+from tiegraph.dense.depth import Consistency, confirmed_map, depth_map
 from tiegraph.dense.engine import installed, matched_by, most_volume_bytes
-from tiegraph.dense.neighbours import plan_images
-from tiegraph.dense.plan import DensePlan, ImagePlan
+from tiegraph.dense.plan import DensePlan, ImagePlan, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_hanging
 from tiegraph.dense.tuning import Tuning
-from tiegraph.dense.undistort import load_view, pinhole
-from tiegraph.dense.workspace import write_workspace
+from tiegraph.dense.undistort import load_view, pinhole, write_workspace
 from tiegraph.errors import InputError, ReconstructionError, TiegraphError
 from tiegraph.limits import explained
 from tiegraph.pipeline.files import FINAL, load_json, load_map, load_model, whole

@@ -16,7 +16,7 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.masks.compare import compare
+from tiegraph.masks.folder import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run

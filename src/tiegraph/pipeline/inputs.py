@@ -14,7 +14,7 @@ import pycolmap
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.folder import candidates, find_mask
-from tiegraph.masks.plugin import read_model
+from tiegraph.masks.sources import read_model
 from tiegraph.pipeline.files import read_image, scanned
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.inputs import FOLLOW, Inputs, check_files, check_path

@@ -11,7 +11,7 @@ from tiegraph import papers
 from tiegraph.errors import choose
 from tiegraph.masks import EGO, NAMES, USE
 from tiegraph.masks.frames import full_size, image_size
-from tiegraph.masks.quality import flags, image_quality
+from tiegraph.masks.platform import flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, MaskSource, explain_source
 from tiegraph.masks.tuning import Tuning

@@ -14,11 +14,24 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, world_from_geodetic
 from tiegraph.pipeline.files import load_json, placement_error, reading, world_origin, world_unit
 from tiegraph.pipeline.surfaces import FOLDER
-from tiegraph.products.profile import Profile, along, sampled
 from tiegraph.products.raster import read_window
 from tiegraph.products.surface import MAP, Window
 from tiegraph.products.tuning import VolumeTuning
-from tiegraph.products.volumes import Base, Known, Patch, area_of, crossing, epoch, level, lowest, plane, volumes
+from tiegraph.products.volumes import (
+    Base,
+    Known,
+    Patch,
+    Profile,
+    along,
+    area_of,
+    crossing,
+    epoch,
+    level,
+    lowest,
+    plane,
+    sampled,
+    volumes,
+)
 from tiegraph.project.folder import check_format
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.vectors import Shapes, read_shapes
@@ -155,7 +168,7 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
 def make_profile(folder: Path, line: Sequence[str], out: Path) -> Profile:
     """Write heights along a line of a map as CSV, and beside it a chart as SVG. Raises InputError for no map, an
     invalid line or one outside, and another CRS."""
-    from tiegraph.products.profile import chart  # draws
+    from tiegraph.products.volumes import chart  # draws
 
     map_ = open_map(folder)
     vertices = line_of(line, map_)

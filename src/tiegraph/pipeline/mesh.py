@@ -13,7 +13,6 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.limits import need_room
 from tiegraph.mesh.files import Textured, glb, mtl, obj
-from tiegraph.mesh.levelling import levelled, vertex_mean
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
 from tiegraph.mesh.texture import (
@@ -25,11 +24,13 @@ from tiegraph.mesh.texture import (
     edge_colours,
     face_colours,
     laid_out,
+    levelled,
     levelled_chart,
     nodes_of,
     own_faces,
     own_sides,
     places,
+    vertex_mean,
 )
 from tiegraph.mesh.tuning import Tuning
 from tiegraph.mesh.views import UNSEEN, Seen, View, chosen, seen_by, without_bubbles

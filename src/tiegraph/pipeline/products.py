@@ -12,7 +12,6 @@ from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz, world_or
 from tiegraph.pipeline.pictures import Pictures, plans_of
 from tiegraph.pipeline.surfaces import OnSurface, Step
 from tiegraph.pipeline.terrain import TerrainWork, wanted
-from tiegraph.products.choose import Survey, choose
 from tiegraph.products.heights import height_tile, margin
 from tiegraph.products.ortho import (
     Buffer,
@@ -26,9 +25,8 @@ from tiegraph.products.ortho import (
     patch,
     windows_met,
 )
-from tiegraph.products.pictures import PICTURE_PX, overview, relief
-from tiegraph.products.raster import Place, hillshade
-from tiegraph.products.surface import View, Window
+from tiegraph.products.raster import PICTURE_PX, Place, hillshade, overview, relief
+from tiegraph.products.surface import Survey, View, Window, choose
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of

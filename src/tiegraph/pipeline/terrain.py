@@ -11,13 +11,14 @@ from tiegraph.errors import EngineMissing
 from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.surfaces import OnSurface, Step
-from tiegraph.products.contours import Line, contour_lines, equidistance
-from tiegraph.products.pictures import PICTURE_PX, relief
-from tiegraph.products.raster import Place
+from tiegraph.products.raster import PICTURE_PX, Place, relief
 from tiegraph.products.surface import MAP, Surface, Window
 from tiegraph.products.terrain import (
+    Line,
     Terrain,
     bare,
+    contour_lines,
+    equidistance,
     footprint,
     ground,
     ground_cells,

@@ -22,7 +22,11 @@ def height_tile(points: Cloud, surface: Surface, window: Window, tuning: HeightT
     """w and its sigma (rows, columns) f4 of a window, NaN = not known, of the points over it and its margin."""
     wide = margin(tuning)
     w, sigma = cells(points, surface, window.grown(wide), tuning)
-    w, sigma = filled(_without_strays(w, tuning), sigma, tuning.hole_px)
+    size = 2 * tuning.hole_px + 1
+    known = np.isfinite(w).astype(np.float32)
+    around = cv2.boxFilter(known, -1, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    w = np.where(around < tuning.lone + 0.5, np.nan, w)  # without nearly isolated cells
+    w, sigma = filled(w, sigma, tuning.hole_px)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
     return w[inner].astype(np.float32), sigma[inner].astype(np.float32)
 
@@ -65,14 +69,6 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
     return out[0], out[1]
 
 
-def _without_strays(w: np.ndarray, tuning: HeightTuning) -> np.ndarray:
-    """Without nearly isolated cells."""
-    known = np.isfinite(w)
-    size = 2 * tuning.hole_px + 1
-    around = cv2.boxFilter(known.astype(np.float32), -1, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.where(around < tuning.lone + 0.5, np.nan, w)
-
-
 def filled(w: np.ndarray, sigma: np.ndarray, hole_px: int) -> tuple[np.ndarray, np.ndarray]:
     """w and its sigma (rows, columns), NaN = not known, with holes of up to about twice ``hole_px`` filled by the plane
     of the cells around each of their pixels, by a Gaussian of their distance.
@@ -86,11 +82,10 @@ def filled(w: np.ndarray, sigma: np.ndarray, hole_px: int) -> tuple[np.ndarray, 
         known.astype(np.uint8), cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     )
     wanted = (closed > 0) & ~known
-    if not wanted.any():
-        return w, np.where(known, sigma, np.nan)
-    plane = planes(w, sigma, hole_px / 2, wanted)
-    w, sigma = w.copy(), np.where(known, sigma, np.nan)
-    w[wanted], sigma[wanted] = plane
+    sigma = np.where(known, sigma, np.nan)
+    if wanted.any():
+        plane, w = planes(w, sigma, hole_px / 2, wanted), w.copy()
+        w[wanted], sigma[wanted] = plane
     return w, sigma
 
 

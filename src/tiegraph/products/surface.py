@@ -1,14 +1,28 @@
-"""A reference surface: a rigid frame (u, v, w) and the raster over (u, v); and the windows of that raster."""
+"""A reference surface: a rigid frame (u, v, w) and the raster over (u, v), and the windows of that raster.
 
-from dataclasses import dataclass, field
+Those of a survey are chosen: a map where its cameras look down, walls where they look sideways.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
+from tiegraph.products.settings import ProductsSettings
+from tiegraph.products.tuning import ChooseTuning
+from tiegraph.scene.results import Cloud
+from tiegraph.scene.sorting import evenly
 
 NODATA = -9999.0
 MAP = "map"
+_TRIED = 400  # planes that are tried for each wall
+_ASKED = 10_000  # points of a surface for its extent and the resolution of the images
+_SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
+_REFINED = 5  # times a plane is fitted to the points near it
+_FEWEST = 10  # points on a reference plane at least
 
 
 @dataclass(frozen=True)
@@ -98,3 +112,175 @@ def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 def focal(camera: Pinhole) -> float:
     """Pixels per unit of tangent."""
     return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+
+
+def rounded_up(size: float, series: Sequence[float]) -> float:
+    """The smallest of a series up to 10, times a power of ten, that is not below a size."""
+    power = 10.0 ** np.floor(np.log10(size))
+    return float(f"{next(k * power for k in series if k * power >= size * 0.9999):.3g}")
+
+
+# --- the choice -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Data for the choice: a sample of the cloud, the images, the points' spacing, and the shift (3,) from the world to
+    the CRS; lengths in ``unit`` (m, or units of a model without scale)."""
+
+    sample: Cloud
+    views: Sequence[View]
+    spacing: float
+    shift: np.ndarray
+    unit: str = "m"
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(N, 3) projection centres."""
+        return transforms.centre(np.array([v.camera.cam_from_world for v in self.views]))
+
+    @property
+    def looking(self) -> np.ndarray:
+        """(N, 3) directions of the optical axes."""
+        return np.array([v.camera.cam_from_world[2, :3] for v in self.views])
+
+
+def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> tuple[list[Surface], list[str]]:
+    """The surfaces whose rasters are made, and remarks with reasons. Raises ReconstructionError for a reference plane
+    on which no points lie."""
+    if settings.make == "none":
+        return [], ["nothing is made, by products.make"]
+    down = -float(survey.looking[:, 2].mean())
+    sideways = float(np.mean(np.abs(survey.looking[:, 2]) < np.sin(np.radians(tuning.sideways_deg))))
+    auto = settings.make == "auto"
+    wants_map = settings.make in ("map", "both") or (auto and down >= tuning.down)
+    given = settings.plane is not None and settings.make != "map"
+    wants_walls = settings.make in ("elevations", "both") or (auto and sideways >= tuning.least_sideways)
+    found = []
+    if wants_map:
+        low, high = survey.sample.xyz_m[:, 2].min(), survey.sample.xyz_m[:, 2].max()
+        beyond, out = high - low, np.array([np.inf, np.inf])  # a sample lacks the highest
+        found.append(Surface(MAP, np.eye(4), low=np.append(-out, low - beyond), high=np.append(out, high + beyond)))
+    if given:
+        found.append(_given(survey, settings.plane, tuning))  # type: ignore[arg-type]
+    elif wants_walls:
+        found += walls(survey, tuning)
+    lean = f"{abs(np.degrees(np.arcsin(down))):.0f} deg {'down' if down > 0 else 'up'}"
+    looks = f"{sideways:.0%} of the cameras look sideways, all on average {lean}"
+    if not found:
+        no_wall = f", and no vertical plane has {tuning.least_share:.0%} of the points" if wants_walls else ""
+        return [], [f"no raster is made: {looks}{no_wall}; products.make = map makes one nevertheless"]
+    why = [] if not auto else [f"chosen by the view directions ({looks}): {', '.join(s.name for s in found)}"]
+    made = [_trimmed(s, survey, settings, tuning) for s in found]
+    shares = [f"{s.name}: {s.share:.0%} of the points" for s in made if np.isfinite(s.share)]
+    sizes = [f"{s.name}: {s.shape[1]} x {s.shape[0]} pixels of {s.pixel_m:g} {survey.unit}" for s in made]
+    return made, [*why, *shares, *sizes]
+
+
+def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
+    """The largest vertical planes of the points, each tried with the point and normal of one of them."""
+    xyz, normal = survey.sample.xyz_m, survey.sample.normal
+    free = np.abs(normal[:, 2]) < np.sin(np.radians(tuning.upright_deg))  # False for NaN too
+    found: list[Surface] = []
+    while len(found) < tuning.walls and free.sum() >= _FEWEST:
+        at = np.flatnonzero(free)
+        tried = np.random.default_rng(0).permutation(at)[:_TRIED]
+        planes = [_plane(xyz[k], normal[k]) for k in tried]
+        near = [_near(survey, plane, tuning.flatness) for plane in planes]
+        votes = [np.count_nonzero(_on(xyz[at], normal[at], p, n, tuning)) for p, n in zip(planes, near)]
+        best = int(np.argmax(votes))
+        plane, within = planes[best], near[best]
+        for _ in range(_REFINED):
+            on = at[_on(xyz[at], normal[at], plane, within, tuning)]
+            plane = _fitted(xyz[on], plane)
+        share = len(on) / len(xyz)
+        if share < tuning.least_share:
+            break
+        deep = within / tuning.flatness * tuning.reach
+        low, high = np.array([-np.inf, -np.inf, -deep]), np.array([np.inf, np.inf, deep])
+        name = f"elevation{len(found) + 1}"
+        found.append(Surface(name, plane, low=low, high=high, share=share))
+        free[at] &= np.abs(transforms.apply(plane, xyz[at])[:, 2]) > deep
+    return found
+
+
+def _plane(point: np.ndarray, outwards: np.ndarray) -> np.ndarray:
+    """surface_from_world of the vertical plane through a point (3,), w along a direction (3,)."""
+    w = np.array([outwards[0], outwards[1], 0.0]) / np.hypot(outwards[0], outwards[1])
+    axes = np.stack([np.cross([0.0, 0.0, 1.0], w), [0.0, 0.0, 1.0], w])
+    return transforms.rigid(axes, -axes @ (np.asarray(point, float) * [1, 1, 0]))  # v is the height
+
+
+def _near(survey: Survey, plane: np.ndarray, share: float) -> float:
+    """A share of the median distance from a plane of the cameras in front that look at it, or else of all."""
+    away = transforms.apply(plane, survey.centres)[:, 2]
+    front = away[(away > 0) & (survey.looking @ plane[2, :3] < 0)]
+    return share * float(np.median(front if len(front) else np.abs(away)))
+
+
+def _on(xyz: np.ndarray, normal: np.ndarray, plane: np.ndarray, within: float, tuning: ChooseTuning) -> np.ndarray:
+    along = normal @ plane[2, :3] > np.cos(np.radians(tuning.upright_deg))
+    return along & (np.abs(xyz @ plane[2, :3] + plane[2, 3]) < within)
+
+
+def _fitted(xyz: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """The vertical plane of least squares through points (M, 3), facing as another one does."""
+    middle = xyz.mean(axis=0)
+    flat = (xyz - middle)[:, :2]
+    across = np.linalg.eigh(flat.T @ flat)[1][:, 0]
+    return _plane(middle, across * np.sign(across @ plane[2, :2] or 1.0))
+
+
+def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: ChooseTuning) -> Surface:
+    """The plane through two places of the CRS, the first one at the left."""
+    left, right = (np.array(e) - survey.shift[:2] for e in (ends[:2], ends[2:]))
+    along = right - left
+    said = f"products.plane = {', '.join(f'{e:.10g}' for e in ends)}"
+    if not np.hypot(*along) > 0:
+        raise ReconstructionError(f"{said}: its two ends are one place; give the left and the right end of a wall")
+    plane = _plane(np.array([*left, 0.0]), np.array([along[1], -along[0], 0.0]))
+    deep = _near(survey, plane, tuning.reach)
+    start = float(plane[0, :2] @ left + plane[0, 3])
+    low, high = np.array([start, -np.inf, -deep]), np.array([start + np.hypot(*along), np.inf, deep])
+    found = Surface("elevation1", plane, low=low, high=high)
+    if np.count_nonzero(_inside(found, survey.sample)) < _FEWEST:
+        low, high = (
+            v[:2] + survey.shift[:2] for v in (survey.sample.xyz_m.min(axis=0), survey.sample.xyz_m.max(axis=0))
+        )
+        raise ReconstructionError(
+            f"{said}: no points of the cloud lie within {deep:.3g} {survey.unit} of this plane between its ends; the "
+            f"cloud reaches from {low[0]:.2f} to {high[0]:.2f} east and from {low[1]:.2f} to {high[1]:.2f} north"
+        )
+    return found
+
+
+def _inside(surface: Surface, cloud: Cloud) -> np.ndarray:
+    uvw = transforms.apply(surface.surface_from_world, cloud.xyz_m)
+    return np.all((uvw >= surface.low) & (uvw <= surface.high), axis=1)
+
+
+def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> Surface:
+    """The surface with the size of its pixels, and a box of whole pixels around nearly all points that images
+    resolve."""
+    own = survey.sample.xyz_m[_inside(surface, survey.sample)]
+    own = own[evenly(len(own), _ASKED)]
+    sizes = np.full(len(own), np.nan)  # of a pixel of the nearest image that sees a point
+    for view in survey.views:
+        sizes = np.fmin(sizes, project(view.camera, own)[2] / focal(view.camera))
+    gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
+    pixel = settings.pixel_m or rounded_up(max(gsd, survey.spacing / 2), _SERIES)
+    near = sizes <= tuning.coarsest * pixel
+    uv = transforms.apply(surface.surface_from_world, own[near] if near.any() else own)[:, :2]
+    low, high = np.quantile(uv, [tuning.trimmed, 1 - tuning.trimmed], axis=0)
+    wide = 0.05 * (high - low)  # more than the part trimmed of an even cover
+    low, high = np.maximum(low - wide, uv.min(axis=0)), np.minimum(high + wide, uv.max(axis=0))
+    low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # given limits are kept
+    high = np.where(np.isfinite(surface.high), surface.high, np.append(high, 0.0))
+    frame, offset = surface.surface_from_world.copy(), survey.shift
+    if surface.name != MAP:  # u counts from the left end, v is the height
+        offset = np.array([0.0, survey.shift[2], 0.0])
+        frame[0, 3] -= low[0]
+        low, high = low - [low[0], 0, 0], high - [low[0], 0, 0]
+    low[:2] = np.floor((low + offset)[:2] / pixel + 1e-6) * pixel - offset[:2]
+    high[:2] = np.ceil((high + offset)[:2] / pixel - 1e-6) * pixel - offset[:2]
+    return replace(surface, surface_from_world=frame, low=low, high=high, pixel_m=pixel, offset=offset)

@@ -1,4 +1,4 @@
-"""Terrain below trees, cars and houses, from the heights of a map.
+"""Terrain below trees, cars and houses, from the heights of a map, and its contour lines (contourpy).
 
 Ground cells of a coarse grid are found by the simple morphological filter (Pingel, Clarke and McBride, "An
 improved simple morphological filter for the terrain classification of airborne LIDAR data", ISPRS Journal of
@@ -17,16 +17,20 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from contourpy import contour_generator
 from scipy import ndimage
 
 from tiegraph.products.heights import filled, planes
-from tiegraph.products.surface import Window
-from tiegraph.products.tuning import TerrainTuning
+from tiegraph.products.surface import Window, rounded_up
+from tiegraph.products.tuning import ContourTuning, TerrainTuning
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
 _JOINED = 2  # cells; twice that is a gap that is closed
 _EVEN = 2.0  # cells over which interpolated terrain is smoothed: where holes of two sizes meet it steps
+_SERIES = (1.0, 2.0, 5.0, 10.0)  # of intervals of contour lines
+_INDEX = 5  # every so many lines one is an index line, drawn thick
+_TAILS = 0.002  # share of the heights at either end that is no relief
 _FADE = 0.01  # share of a full window of pixels at which the offset of the ground counts half
 
 
@@ -84,24 +88,18 @@ def bare(low: np.ndarray, noise: float, cell_m: float, objects_m: float, tuning:
     if not known.any():
         return low
     last = (low - np.median(low[known])).astype(np.float32)
-    stands = np.zeros(low.shape, bool)
+    stands, far = np.zeros(low.shape, bool), np.float32(1e9)
     for radius in range(1, int(np.ceil(objects_m / 2 / cell_m)) + 1):
-        opened = _opened(last, known, radius)
+        # The opening by a disc of so many cells, of the known ones alone
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+        lowest = cv2.erode(np.where(known, last, far), disc, borderValue=float(far))
+        highest = cv2.dilate(np.where(lowest < far / 2, lowest, -far), disc, borderValue=-float(far))
+        opened = np.where(known, highest, np.nan)
         with np.errstate(invalid="ignore"):
             stands |= last - opened > tuning.slope * radius * cell_m + tuning.noise_sigmas * noise
         last = opened
     beside = cv2.dilate(stands.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # its other half, or adjoining objects
     return np.where(beside, np.nan, low)
-
-
-def _opened(w: np.ndarray, known: np.ndarray, radius: int) -> np.ndarray:
-    """The opening of w by a disc of so many cells, of the known ones alone."""
-    size = 2 * radius + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    far = np.float32(1e9)
-    lowest = cv2.erode(np.where(known, w, far), disc, borderValue=float(far))
-    highest = cv2.dilate(np.where(lowest < far / 2, lowest, -far), disc, borderValue=-float(far))
-    return np.where(known, highest, np.nan)
 
 
 def footprint(known: np.ndarray) -> np.ndarray:
@@ -146,15 +144,11 @@ def ground(w: np.ndarray, sigma: np.ndarray, low: Terrain, window: Window, tunin
 
 def ground_cells(w: np.ndarray, sigma: np.ndarray, on_ground: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
     """Mean w and sigma (rows, columns) of the cells of which half of the pixels are ground, NaN = others."""
-    half = np.isfinite(_blocks(np.where(on_ground, w, np.nan), step)).mean(axis=-1) >= 0.5
-    with np.errstate(invalid="ignore"):
-        found = [_mean(_blocks(np.where(on_ground, v, np.nan), step)) for v in (w, sigma)]
+    blocks = [_blocks(np.where(on_ground, values, np.nan), step) for values in (w, sigma)]
+    half = np.isfinite(blocks[0]).mean(axis=-1) >= 0.5
+    counts = [np.maximum(np.isfinite(b).sum(axis=-1), 1) for b in blocks]
+    found = [np.nansum(b, axis=-1, dtype=float) / n for b, n in zip(blocks, counts)]
     return np.where(half, found[0], np.nan), np.where(half, found[1], np.nan)
-
-
-def _mean(values: np.ndarray) -> np.ndarray:
-    known = np.isfinite(values)
-    return np.where(known, values, 0.0).sum(axis=-1, dtype=float) / np.maximum(known.sum(axis=-1), 1)
 
 
 def margin(step: int, tuning: TerrainTuning) -> int:
@@ -188,3 +182,66 @@ def terrain_tile(
         np.where(on_ground, sigma, np.where(known, level_sigma, np.nan))[inner],
     )
     return found[0].astype(np.float32), found[1].astype(np.float32)
+
+
+# --- contour lines ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A contour line: its height, its vertices (N, 2) in u and v, the first once more at the end of a ring, the sigma
+    of the terrain's height along it, and whether it is an index line."""
+
+    w: float
+    uv: np.ndarray
+    sigma: float
+    index: bool
+
+
+def equidistance(w: np.ndarray, sigma: np.ndarray, tuning: ContourTuning) -> float:
+    """Interval of contour lines of heights (rows, columns) with their sigma, NaN = not known: the
+    least of 1, 2 and 5 times a power of ten that gives no more lines than allowed, and is no finer than the
+    accuracy of the heights. 0 where nothing is known."""
+    known = np.isfinite(w) & np.isfinite(sigma)
+    if not known.any():
+        return 0.0
+    low, high = np.quantile(w[known], [_TAILS, 1 - _TAILS])
+    least = max((high - low) / tuning.most_lines, tuning.sigmas * float(np.median(sigma[known])), 1e-3)
+    return rounded_up(least, _SERIES)
+
+
+def contour_lines(
+    w: np.ndarray, sigma: np.ndarray, places: tuple[np.ndarray, np.ndarray], every: float, tuning: ContourTuning
+) -> list[Line]:
+    """The lines at the multiples of ``every``, by height, of heights and their sigma (rows, columns) at ``places``: u
+    (columns,) and v (rows,).
+
+    They are drawn on heights smoothed by planes, exact on slopes. Rings and pieces shorter than a few pixels, which a
+    map would show as dots, are left out.
+    """
+    smooth = smoothed(w, sigma, tuning.smooth_cells)
+    if every <= 0 or min(w.shape) < 2:
+        return []
+    pixel = abs(places[0][1] - places[0][0])
+    drawn = contour_generator(*places, np.ma.masked_invalid(smooth), name="serial", line_type="Separate")
+    found = []
+    for number in range(int(np.ceil(np.nanmin(smooth) / every)), int(np.floor(np.nanmax(smooth) / every)) + 1):
+        for uv in map(np.asarray, drawn.lines(number * every)):
+            if np.linalg.norm(np.diff(uv, axis=0), axis=1).sum() < tuning.shortest_cells * pixel:
+                continue
+            column = np.rint((uv[:, 0] - places[0][0]) / pixel).astype(int)
+            row = np.rint((places[1][0] - uv[:, 1]) / pixel).astype(int)
+            height = float(f"{number * every:.6g}") if every < 1 else number * every
+            near = float(np.nanmedian(sigma[row, column]))
+            found.append(Line(height, uv, sigma=near, index=number % _INDEX == 0))
+    return found
+
+
+def smoothed(w: np.ndarray, sigma: np.ndarray, bell_px: float) -> np.ndarray:
+    """w (rows, columns) of the planes through the pixels around each known one, by a Gaussian: exact on slopes, at
+    borders too."""
+    known = np.isfinite(w)
+    out = np.full(w.shape, np.nan)
+    if known.any():
+        out[known] = planes(w, sigma, bell_px, known)[0]
+    return out

@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class ChooseTuning(Section):
-    """The reference surfaces of a survey (`choose.py`)."""
+    """The reference surfaces of a survey (`surface.py`)."""
 
     down: float = Field(0.5, ge=0, le=1)
     """Cameras look down if the mean of their view directions points down by this much at least: 60 deg off the
@@ -69,7 +69,7 @@ class TerrainTuning(Section):
 
 
 class ContourTuning(Section):
-    """Contour lines (`contours.py`)."""
+    """Contour lines (`terrain.py`)."""
 
     most_lines: float = Field(40.0, ge=1)
     """Lines between the lowest and the highest height at most: of 1, 2, 5, 10 ... one gives 16 to 40."""

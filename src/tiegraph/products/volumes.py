@@ -1,4 +1,5 @@
-"""Volumes between a surface and a base inside a polygon, with a sigma that includes common errors of many pixels.
+"""Volumes between a surface and a base inside a polygon, with a sigma that includes common errors of many pixels; and
+heights along a line.
 
 A volume is a sum over pixels, V = sum c_i (h_i - b_i), c_i being the area of a pixel inside the polygon; cut is the sum
 where h > b, fill where h < b. Its variance is the sum of independent parts:
@@ -21,24 +22,31 @@ where h > b, fill where h < b. Its variance is the sum of independent parts:
   which include the noise once already, it is sqrt(2) - 1 of that where the surface lies on the base. It is added whole.
 """
 
-from dataclasses import dataclass, field
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 import rasterio
 from rasterio.features import rasterize
+from scipy import ndimage
 from scipy.stats import norm
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.transforms import motions
 from tiegraph.products.heights import planes
+from tiegraph.products.surface import Window
 from tiegraph.products.tuning import VolumeTuning
 
 _FINER = 4  # parts of a pixel along its edge for its share inside a polygon
 _SAMPLE = 512  # pixels along the edge of the sample for common errors
 _FITS = 2.0  # planes do not fit where the scatter about them is larger than the usual one by this factor
 _LEAST = 0.1  # correlation below which two pixels share nothing
+_AT_ONCE = 1000  # places that are read together: a window of so many pixels along its edge at most
+_SIZE = (10.0, 4.5)  # inches
+_DRAWN = {"dsm": ("surface", "0.45"), "dtm": ("terrain", "tab:brown")}
 _FEWEST = 12  # pixels of the ground around, and sectors with some
 
 
@@ -109,9 +117,7 @@ def level(patch: Patch, height: float, said: str) -> Base:
 
 def epoch(other: Patch, known: Known, said: str) -> Base:
     """The surface of another survey, on the same pixels."""
-    none = np.zeros((0, *other.w.shape))
-    nothing = {"covariance": np.zeros((0, 0)), "moved": np.zeros((0, 7))}
-    return Base(other.w, said, none, **nothing, other=(other, known))
+    return replace(level(other, 0.0, said), w=other.w, other=(other, known))
 
 
 def lowest(ground: Patch, polygon: np.ndarray, known: Known, tuning: VolumeTuning) -> Base:
@@ -246,6 +252,8 @@ def volumes(patch: Patch, base: Base, polygon: np.ndarray, known: Known, tuning:
     if base.other is not None:
         surfaces.append((base.other[0], *shared_errors(base.other[0], tuning)))
     own = np.sqrt(sum(np.nan_to_num(p.sigma) ** 2 for p, *_ in surfaces))
+    away = np.abs(high) / np.maximum(own, 1e-9)
+    near_base = float(np.sum(area * own * (norm.pdf(away) - away * norm.sf(away)))) / (np.sqrt(2) - 1)
     out = {}
     for name, sign, there in (("cut", 1, high > 0), ("fill", -1, high < 0), ("net", 1, area > 0)):
         c = np.where(there, area, 0.0)
@@ -264,7 +272,7 @@ def volumes(patch: Patch, base: Base, polygon: np.ndarray, known: Known, tuning:
             variance["world"] += 0.0 if how.placed is None else by_other @ how.placed.covariance @ by_other
             variance["shape"] += (how.whole * c.sum()) ** 2
         parts = {k: float(np.sqrt(max(v, 0.0))) for k, v in variance.items()}
-        parts["near_base"] = 0.0 if name == "net" else _near_base(area, high, own)
+        parts["near_base"] = 0.0 if name == "net" else near_base
         sigma = float(np.sqrt(sum(variance.values()))) + parts["near_base"]
         out[name] = Volume(float(sign * np.sum(c * high)), sigma, parts)
     return out
@@ -276,11 +284,6 @@ def _noise(c: np.ndarray, sigma: np.ndarray, together: float, rest: float) -> fl
     return min(together * float(np.sum(each**2)) * (1 - rest), all_one) + rest * all_one
 
 
-def _near_base(area: np.ndarray, high: np.ndarray, sigma: np.ndarray) -> float:
-    away = np.abs(high) / np.maximum(sigma, 1e-9)
-    return float(np.sum(area * sigma * (norm.pdf(away) - away * norm.sf(away)))) / (np.sqrt(2) - 1)
-
-
 def area_of(polygon: np.ndarray) -> float:
     """Area of a polygon (N, 2)."""
     x, y = (polygon - polygon.mean(axis=0)).T
@@ -290,21 +293,94 @@ def area_of(polygon: np.ndarray) -> float:
 def crossing(polygon: np.ndarray) -> tuple[int, int] | None:
     """Two sides of a polygon (N, 2) that cross or touch, by their first vertices; None if none do."""
     a, b = polygon, np.roll(polygon, -1, axis=0)
-    along = b - a
+    along, low, high, count = b - a, np.minimum(a, b), np.maximum(a, b), len(polygon)
 
     def side(k: int, points: np.ndarray) -> np.ndarray:
         off = points - a[k]
         return np.sign(along[k, 0] * off[:, 1] - along[k, 1] * off[:, 0])
 
-    count = len(polygon)
     turns = np.array([side(k, a) * side(k, b) <= 0 for k in range(count)])
-    for i, j in np.argwhere(turns & turns.T):
-        apart = min((i - j) % count, (j - i) % count)
-        if i < j and apart > 1 and _boxes_meet(polygon, int(i), int(j)):
+    overlap = (low[:, None] <= high).all(axis=2)  # of the boxes around the sides, if it holds both ways
+    for i, j in np.argwhere(turns & turns.T & overlap & overlap.T):
+        if i < j and min(j - i, (i - j) % count) > 1:
             return int(i), int(j)
     return None
 
 
-def _boxes_meet(polygon: np.ndarray, i: int, j: int) -> bool:
-    one, two = (polygon[[k, (k + 1) % len(polygon)]] for k in (i, j))
-    return bool(np.all(one.min(axis=0) <= two.max(axis=0)) and np.all(two.min(axis=0) <= one.max(axis=0)))
+# --- profiles ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Places (N, 2), east and north, along a line, their distances (N,) from its beginning, and the values of the
+    rasters there, (N,) each by name, NaN = not known; lengths in ``unit``."""
+
+    distance: np.ndarray
+    places: np.ndarray
+    values: Mapping[str, np.ndarray]
+    unit: str = "m"
+
+    @property
+    def table(self) -> tuple[list[str], list[list[float | None]]]:
+        """Columns with their unit, and rows; None = not known."""
+        names = ["distance", "east", "north", *self.values]
+        columns = [self.distance, *self.places.T, *self.values.values()]
+        rows = [[None if np.isnan(v) else round(float(v), 4) for v in row] for row in zip(*columns)]
+        return [f"{name}_{self.unit}" for name in names], rows
+
+
+def along(line: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (N,) and places (N, 2) along a line (K, 2), at most a spacing apart, with all its vertices."""
+    parts = []
+    for a, b in zip(line[:-1], line[1:]):
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing - 1e-9)))
+        parts.append(a + (b - a) * (np.arange(count) / count)[:, None])
+    places = np.concatenate([*parts, line[-1:]])
+    return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))], places
+
+
+def sampled(read: Callable[[Window], np.ndarray], pixels: np.ndarray) -> np.ndarray:
+    """Values (N,) at places (N, 2), columns and rows in pixels from the corner of a raster, between the centres of four
+    known pixels, elsewhere NaN; ``read`` gives a window of it. Windows are as large as needed for one reading."""
+    out = np.full(len(pixels), np.nan)
+    for start in range(0, len(pixels), _AT_ONCE):
+        column, row = pixels[start : start + _AT_ONCE].T - 0.5
+        left, top = int(np.floor(column.min())), int(np.floor(row.min()))
+        rows, columns = int(np.floor(row.max())) - top + 2, int(np.floor(column.max())) - left + 2
+        values = read(Window(top, left, rows=rows, columns=columns)).astype(float)
+        at = np.stack([row - top, column - left])
+        known = np.isfinite(values)
+        mean = ndimage.map_coordinates(np.where(known, values, 0.0), at, order=1)
+        share = ndimage.map_coordinates(known.astype(float), at, order=1)
+        out[start : start + _AT_ONCE] = np.where(share > 1 - 1e-9, mean, np.nan)
+    return out
+
+
+def chart(profile: Profile) -> bytes:
+    """The profile as SVG: surface and terrain, each with a band of two sigmas; heights are exaggerated, as stated."""
+    import matplotlib  # a second
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    axes = figure.add_subplot()
+    for name, (label, colour) in _DRAWN.items():
+        if name in profile.values and np.isfinite(profile.values[name]).any():
+            height, sigma = profile.values[name], profile.values[f"{name}_sigma"]
+            axes.fill_between(profile.distance, height - 2 * sigma, height + 2 * sigma, color=colour, alpha=0.25, lw=0)
+            axes.plot(profile.distance, height, color=colour, lw=1.2, label=f"{label} ± 2 sigma")
+    axes.set_xlim(0, float(profile.distance[-1]))
+    axes.set_xlabel(f"distance ({profile.unit})")
+    axes.set_ylabel(f"height ({profile.unit})")
+    axes.ticklabel_format(useOffset=False, style="plain")
+    axes.grid(alpha=0.3)
+    if axes.lines:
+        axes.legend(loc="best", frameon=False)
+    FigureCanvasAgg(figure).draw()  # which lays it out
+    box, (low, high) = axes.get_window_extent(), axes.get_ylim()
+    larger = box.height / (high - low) / (box.width / float(profile.distance[-1]))
+    axes.set_title(f"heights {larger:.2g} times as large as lengths", loc="right", fontsize=9)
+    out = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "tiegraph"}):
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue()

@@ -6,9 +6,8 @@ import pytest
 from products_world import FACADE, MAP, SIZE, WALL
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.products.choose import Survey, choose
 from tiegraph.products.settings import ProductsSettings
-from tiegraph.products.surface import Window, project
+from tiegraph.products.surface import Survey, Window, choose, project
 from tiegraph.products.tuning import ChooseTuning
 from tiegraph.scene.results import Cloud
 
