@@ -9,7 +9,7 @@ import pytest
 import terrain_world as world
 from tiegraph.products.contours import Line
 from tiegraph.products.pictures import relief
-from tiegraph.report.spatial import product_views
+from tiegraph.report.parts import product_views
 
 
 def decoded(data):

@@ -44,6 +44,19 @@ _FEW = 5  # a cell with fewer residuals is ignored
 
 
 @dataclass(frozen=True, eq=False)
+class LensResiduals:
+    """Mean residuals of a camera in the cells of its image, px: middles (K, 2), observed minus computed (K, 2)."""
+
+    size: tuple[int, int]
+    at: np.ndarray
+    moved: np.ndarray
+    observations: int
+
+
+_Seen = tuple[tuple[int, int], list[tuple[np.ndarray, np.ndarray]]]  # of a camera: size, places and residuals of images
+
+
+@dataclass(frozen=True, eq=False)
 class Model:
     """A sparse model (``reconstruction``: pycolmap's) in ``folder`` of the run, with the scene whose images follow the
     rows of arrays; NaN = not in the model. ``others``: registered images of the further models."""
@@ -86,9 +99,36 @@ class Model:
         return float(self.reconstruction.compute_mean_reprojection_error())
 
     @cached_property
-    def observed(self) -> Observed:
-        """The observations of the images."""
-        return observed(self.reconstruction, self.scene)
+    def gsd(self) -> np.ndarray:
+        """(N,) ground sampling distance of the images, in units of the model, at the median distance along the line of
+        sight of the points that each sees; NaN where it sees none."""
+        return self._observed[0]
+
+    @cached_property
+    def lenses(self) -> dict[int, LensResiduals]:
+        """By sensor key the residuals of the lens."""
+        return {key: _cells(size, found) for key, (size, found) in sorted(self._observed[1].items())}
+
+    @cached_property
+    def _observed(self) -> tuple[np.ndarray, dict[int, _Seen]]:
+        gsd, out = np.full(len(self.scene), np.nan), dict[int, _Seen]()
+        for image in self.reconstruction.images.values():
+            k = self.scene.image_index.get(image.name)
+            rows = image.get_observation_point2D_idxs() if k is not None and image.has_pose else []
+            asked = [image.point2D(rows[r]) for r in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
+            if not asked:
+                continue
+            pose, camera = image.cam_from_world().matrix(), self.reconstruction.cameras[image.camera_id]
+            points = np.array([self.reconstruction.points3D[p.point3D_id].xyz for p in asked])
+            local = points @ pose[:, :3].T + pose[:, 3]
+            ahead = local[:, 2] > 0
+            if ahead.any():
+                gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
+                xy = np.array([p.xy for p in asked])[ahead]
+                off = xy - np.asarray(camera.img_from_cam(local[ahead]), float)
+                size = camera.width, camera.height
+                out.setdefault(int(self.scene.sensor_key[k]), (size, []))[1].append((xy, off))
+        return gsd, out
 
     @cached_property
     def sensors(self) -> dict[int, tuple[Any, np.ndarray | None]]:
@@ -332,46 +372,6 @@ def _in_world(cloud: CloudSample, run: RunFolder) -> CloudSample:
 def _colours(points: Any) -> np.ndarray:
     rgb = np.column_stack([points.red, points.green, points.blue])
     return (rgb >> 8 if rgb.size and rgb.max() > 255 else rgb).astype(np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class LensResiduals:
-    """Mean residuals of a camera in the cells of its image, px: middles (K, 2), observed minus computed (K, 2)."""
-
-    size: tuple[int, int]
-    at: np.ndarray
-    moved: np.ndarray
-    observations: int
-
-
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """Of each image of a scene (N,), NaN where it sees no point: the size of a pixel (ground sampling distance) at the
-    median distance, along the line of sight, of the points that it sees, in units of the model; by sensor key the
-    residuals of the lens."""
-
-    gsd: np.ndarray
-    lenses: dict[int, LensResiduals]
-
-
-def observed(model: Any, scene: Scene) -> Observed:
-    """Of a ``pycolmap.Reconstruction``; images go by name."""
-    gsd = np.full(len(scene), np.nan)
-    seen: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
-    sizes: dict[int, tuple[int, int]] = {}
-    for image in model.images.values():
-        k = scene.image_index.get(image.name)
-        rows = image.get_observation_point2D_idxs() if k is not None and image.has_pose else []
-        asked = [image.point2D(rows[r]) for r in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
-        pose, camera = image.cam_from_world().matrix() if asked else np.eye(4)[:3], model.cameras[image.camera_id]
-        local = np.array([model.points3D[p.point3D_id].xyz for p in asked]).reshape(-1, 3) @ pose[:, :3].T + pose[:, 3]
-        ahead = local[:, 2] > 0
-        if ahead.any():
-            gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
-            xy, key = np.array([p.xy for p in asked])[ahead], int(scene.sensor_key[k])
-            sizes[key] = (camera.width, camera.height)
-            seen.setdefault(key, []).append((xy, xy - np.asarray(camera.img_from_cam(local[ahead]), float)))
-    return Observed(gsd, {key: _cells(sizes[key], found) for key, found in sorted(seen.items())})
 
 
 def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) -> LensResiduals:
