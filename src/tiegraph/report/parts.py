@@ -266,7 +266,7 @@ def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
     c = run.cloud
     if c is None:
         return None
-    rows = [(t("file"), f"{c.name}, {formatting.size(c.bytes)}"), (t("points"), formatting.count(c.count))]
+    rows = [(t("file"), f"cloud.laz, {formatting.size(c.bytes)}"), (t("points"), formatting.count(c.count))]
     if c.views.any():
         rows.append((t("images that saw a point, median"), formatting.number(float(np.median(c.views)), 2)))
     return {"facts": rows, "tables": receipt_tables(run, "dense", "cloud"), "notes": run.notes("dense", "cloud")}
