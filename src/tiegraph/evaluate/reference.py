@@ -56,11 +56,11 @@ def model_poses(reconstruction: Any, scene: Scene) -> ModelPoses:
     rigs = np.full((scene.frames, 4, 4), np.nan)
     second = np.full((scene.frames, 4, 4), np.nan)
     for k, image in registered_images(reconstruction, scene):
-        frame = scene.frame[k]
+        frame, placed = scene.frame[k], reconstruction.frame(image.frame_id)
         if scene.sensor[k] == 0:
             rigs[frame] = cameras[k]
-        elif reconstruction.rig(image.frame.rig_id).num_sensors() > 1:
-            second[frame] = transforms.invert(matrix(image.frame.rig_from_world))
+        elif reconstruction.rig(placed.rig_id).num_sensors() > 1:
+            second[frame] = transforms.invert(matrix(placed.rig_from_world))
     return ModelPoses(cameras, np.where(np.isnan(rigs), second, rigs))
 
 

@@ -138,7 +138,8 @@ class Model:
         out = {}
         for k, image in registered_images(self.reconstruction, self.scene):
             if int(self.scene.sensor_key[k]) not in out:
-                rig, sensor, pose = self.reconstruction.rigs[image.frame.rig_id], image.data_id.sensor_id, None
+                frame, sensor, pose = self.reconstruction.frame(image.frame_id), image.data_id.sensor_id, None
+                rig = self.reconstruction.rig(frame.rig_id)
                 if rig.num_sensors() > 1 and (rig.is_ref_sensor(sensor) or rig.has_sensor_from_rig(sensor)):
                     pose = np.eye(4) if rig.is_ref_sensor(sensor) else matrix(rig.sensor_from_rig(sensor))
                 out[int(self.scene.sensor_key[k])] = self.reconstruction.cameras[image.camera_id], pose
