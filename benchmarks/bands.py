@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -20,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import close
+from benchmarks import datasets
 from benchmarks.datasets import Dataset
-from benchmarks.table import line
+from benchmarks.table import line, put
 from tiegraph.api import open_project
 from tiegraph.evaluate import reference
 from tiegraph.evaluate.accuracy import in_layers, pose_figures
@@ -109,16 +108,7 @@ def write(file: Path) -> None:
     """Put the table between its markers in docs/benchmarks.md."""
     rows = json.loads(file.read_text())["rows"]
     sigma = json.loads((_RESULTS / "sigma.json").read_text())["rows"]
-    text = _DOCUMENT.read_text()
-    before, after = text[: text.index(BEGIN)], text[text.index(END) + len(END) :]
-    _DOCUMENT.write_text(f"{before}{BEGIN}\n{table(rows, sigma)}\n{END}{after}")
-
-
-def _made(dataset: Dataset, folder: Path) -> None:
-    files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
-    given = [word for name, value in files.items() if value is not None for word in (f"--{name}", str(value))]
-    command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(dataset.images), "-o", str(folder)]
-    subprocess.run([*command, *given, "--until", "georef"], check=True, stdout=subprocess.DEVNULL)
+    put(_DOCUMENT, BEGIN, END, table(rows, sigma))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -133,9 +123,9 @@ def main(argv: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         for item in [*args.run, *args.runs]:
             name, folder = item.split("=", 1)
-            dataset = close.load(name, Path(scratch))
+            dataset = datasets.load(name, Path(scratch))
             if item in args.run:
-                _made(dataset, Path(folder))
+                dataset.run(Path(folder), "georef")
             rows = [*(r for r in rows if r["set"] != name), measure(name, dataset, Path(folder))]
             args.out.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
             sys.stdout.write(json.dumps(rows[-1]) + "\n")

@@ -55,21 +55,8 @@ def main() -> None:
 
 
 def _command(survey: Dataset, out: Path, pool: str) -> list[str]:
-    given = {n: getattr(survey, n) for n in ("rig", "gnss", "trajectory", "times")}
-    words = [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
-    return [
-        sys.executable,
-        "-m",
-        "tiegraph",
-        "run",
-        str(survey.images),
-        "-o",
-        str(out),
-        *words,
-        "--pool",
-        pool,
-        "--quiet",
-    ]
+    run = [sys.executable, "-m", "tiegraph", "run", str(survey.images), "-o", str(out)]
+    return [*run, *survey.options(), "--pool", pool, "--quiet"]
 
 
 def _run(survey: Dataset, out: Path, pool: str) -> None:

@@ -29,7 +29,7 @@ import numpy as np
 
 from benchmarks import datasets, variants
 from benchmarks.papers.measure import COLMAP, one_run
-from benchmarks.table import line
+from benchmarks.table import line, put
 from tiegraph.features.sift import contrast
 from tiegraph.features.tuning import ContrastTuning
 
@@ -134,8 +134,7 @@ def main(argv: list[str] | None = None) -> int:
             for severity in CONDITIONS[condition][1]:
                 _case(dataset, (name, condition, severity), args, kept)
     if args.write:
-        before, _, rest = _DOCUMENT.read_text().partition(BEGIN)
-        _DOCUMENT.write_text(f"{before}{BEGIN}\n{table(kept)}\n{END}{rest.partition(END)[2]}")
+        put(_DOCUMENT, BEGIN, END, table(kept))
     return 0
 
 

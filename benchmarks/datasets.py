@@ -9,6 +9,8 @@ from __future__ import annotations
 import csv
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +72,20 @@ class Dataset:
     cameras: Mapping[str, pycolmap.Camera] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
+    def files(self, *more: str) -> dict[str, Path | str]:
+        """What a user gives beside the images, by the name of its option, where there is something; ``more``: gcp."""
+        names = ("rig", "gnss", "trajectory", "times", *more)
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def options(self, *more: str) -> list[str]:
+        """The same as words of a command line."""
+        return [word for name, value in self.files(*more).items() for word in (f"--{name}", str(value))]
+
+    def run(self, folder: Path, until: str) -> None:
+        """Run tiegraph with all of this to a stage, into a run folder."""
+        command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(self.images), "-o", str(folder)]
+        subprocess.run([*command, *self.options(), "--until", until], check=True, stdout=subprocess.DEVNULL)
+
     def centres_m(self) -> dict[str, np.ndarray]:
         """True projection centres (3,) by image name."""
         return {name: pose_centre(pose) for name, pose in self.cam_from_world.items()}
@@ -91,16 +107,16 @@ def data_root() -> Path:
     return Path(os.environ.get("TIEGRAPH_DATA", _REPOSITORY.parent / "shared" / "data")).resolve()
 
 
-def available() -> list[str]:
-    """Names of the data sets whose folders are there."""
-    return [name for name, folder in _FOLDERS.items() if (data_root() / folder).is_dir()]
-
-
 def load(name: str, work: Path) -> Dataset:
-    """The data set ``name``; the user's files are written to ``work``/``name``.
+    """The data set ``name``; the user's files are written to ``work``/``name``. ``canal@FOLDER`` is a canal as
+    `canal_generator` of the data sets renders it.
 
     Raises SettingsError for an unknown name and InputError if its folder is not there.
     """
+    if name.startswith("canal@"):
+        made = work / "canal"
+        made.mkdir(parents=True, exist_ok=True)
+        return _canal(Path(name.partition("@")[2]).resolve(), made)
     loader: Callable[[Path, Path], Dataset] = choose("data set", name, LOADERS)  # type: ignore[assignment]
     folder = data_root() / _FOLDERS[name]
     if name == "canal_demo" and not folder.is_dir():
@@ -394,6 +410,65 @@ def write_rig(rig: Rig, work: Path) -> Path:
     return path
 
 
+# --------------------------------------------------------------------------- parts of close-range sets, known poses
+
+
+_DINO_VIEWS = 40  # neighbours on the hemisphere
+_KITCHEN_FRAMES = 60  # the first
+
+
+def _dino(folder: Path, work: Path) -> Dataset:
+    truth = {}
+    for line in (folder / "dino_par.txt").read_text().splitlines():
+        name, *numbers = line.split()
+        if len(numbers) == 21:
+            v = np.array(numbers, float)
+            truth[Path(name).stem + ".jpg"] = transforms.rigid(v[9:18].reshape(3, 3), v[18:])
+    centres = {n: pose_centre(p) for n, p in truth.items()}
+    middle = centres[sorted(centres)[len(centres) // 2]]
+    near = sorted(centres, key=lambda n: float(np.linalg.norm(centres[n] - middle)))[:_DINO_VIEWS]
+    truth = {n: truth[n] for n in sorted(near)}
+    return Dataset(
+        name="dino_part", images=linked({n: folder / n for n in truth}, work), cam_from_world=truth,
+        notes=("40 neighbouring views; no calibration given",),
+    )  # fmt: skip
+
+
+def _kitchen(folder: Path, work: Path) -> Dataset:
+    truth, files = {}, {}
+    for image in sorted(folder.glob("frame-*.color.jpg"))[:_KITCHEN_FRAMES]:
+        name = image.name.replace(".color", "")
+        truth[name] = transforms.invert(np.loadtxt(folder / image.name.replace(".color.jpg", ".pose.txt")))
+        files[name] = image
+    return Dataset(
+        name="rgbd_part", images=linked(files, work), cam_from_world=truth,
+        notes=("first 60 frames; no calibration given; poses of KinectFusion: good to centimetres",),
+    )  # fmt: skip
+
+
+def _ring(folder: Path, work: Path) -> Dataset:
+    truth, files = {}, {}
+    for path in sorted(folder.glob("extrinsics_camera*.txt")):
+        number = path.stem.removeprefix("extrinsics_camera")
+        pose = np.loadtxt(path).reshape(3, 4)
+        truth[f"camera{number}.jpg"] = transforms.invert(transforms.rigid(pose[:, :3], pose[:, 3]))
+        files[f"camera{number}.jpg"] = folder / f"image_camera{number}.jpg"
+    return Dataset(
+        name="ring", images=linked(files, work), cam_from_world=truth,
+        notes=("one capture of twelve cameras as loose photographs; no calibration given",),
+    )  # fmt: skip
+
+
+def linked(files: Mapping[str, Path], folder: Path) -> Path:
+    """The folder ``images`` below ``folder`` with links to files under these names."""
+    for name, source in files.items():
+        place = folder / "images" / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.unlink(missing_ok=True)
+        place.symlink_to(source)
+    return folder / "images"
+
+
 LOADERS: dict[str, Callable[[Path, Path], Dataset]] = {
     "canal_demo": _canal,
     "canal": _canal,
@@ -405,6 +480,9 @@ LOADERS: dict[str, Callable[[Path, Path], Dataset]] = {
     "Herz-Jesus-P8": _strecha,
     "Herz-Jesus-P25": _strecha,
     "oppaiyama": _oppaiyama,
+    "dino_part": _dino,
+    "rgbd_part": _kitchen,
+    "ring": _ring,
 }
 _FOLDERS = {
     "canal_demo": "canal_demo",
@@ -417,4 +495,7 @@ _FOLDERS = {
     "Herz-Jesus-P8": "strecha/Herz-Jesus-P8",
     "Herz-Jesus-P25": "strecha/Herz-Jesus-P25",
     "oppaiyama": "oppaiyama",
+    "dino_part": "dino",
+    "rgbd_part": "rgbd_250",
+    "ring": "robovision_rig12/2016_10_24__17_43_02",  # the first capture
 }

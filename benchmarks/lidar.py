@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.datasets import data_root
-from benchmarks.table import line
+from benchmarks.table import line, put
 from tiegraph.evaluate.reference import read_tum
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
@@ -137,9 +137,7 @@ def _cell(value: float | None) -> str:
 
 def write(file: Path) -> None:
     """Put the tables between their markers in docs/lidar.md."""
-    before, _, rest = _DOCUMENT.read_text().partition(BEGIN)
-    _, _, after = rest.partition(END)
-    _DOCUMENT.write_text(f"{before}{BEGIN}\n{tables(json.loads(file.read_text())['rows'])}\n{END}{after}")
+    put(_DOCUMENT, BEGIN, END, tables(json.loads(file.read_text())["rows"]))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -30,8 +30,8 @@ from benchmarks.sigma import reference_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.pipeline.plan import plan, reached
+from tiegraph.plan.planner import comparison
 from tiegraph.plan.request import CameraRequest, ImageRequest, PathRequest, PlanRequest, WorldRequest
-from tiegraph.plan.tables import comparison
 from tiegraph.scene.cloudfile import read_cloud
 
 _BOAT = WorldRequest(gnss="0.02,0.03")

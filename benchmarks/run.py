@@ -163,9 +163,7 @@ def _command(dataset: datasets.Dataset, competitor: str, seed: int, work: Path, 
     command += ["--images", str(dataset.images), "--out", str(work / "out"), "--json", str(work / "figures.json")]
     command += ["--seed", str(seed)]
     if program == "tiegraph":
-        files = {name: getattr(dataset, name) for name in ("rig", "gnss", "trajectory", "times", "gcp")}
-        for name, value in files.items():
-            command += [f"--{name}", str(value)] if value is not None else []
+        command += dataset.options("gcp")
         name, is_setting, value = preset.partition("=")
         options = [f"--{name}", value] if is_setting else ["--preset", preset]
         return [*command, "--until", args.until, *(["--", *options] if preset else [])]

@@ -1,8 +1,8 @@
 """Predicted sigmas of finished runs against the errors that their models really have: positions, scale, attitude.
 
 ``python -m benchmarks.sigma SET=FOLDER ... [--second SET=MODEL ...] -o FILE`` reads run folders (``benchmarks/run.py
---keep`` leaves them) and changes nothing there. ``SET`` is one of ``datasets`` or of
-``close`` (``canal@PATH``: a canal of any seed); ``--run SET=FOLDER`` makes the run first, until the stage sparse.
+--keep`` leaves them) and changes nothing there. ``SET`` is one of
+``datasets`` (``canal@PATH``: a canal of any seed); ``--run SET=FOLDER`` makes the run first, until the stage sparse.
 Errors are those after the best similarity of the positions, as the prediction is meant. Where another solver made a
 model of the same images (``--second``), the three differences tell the truth's own error (three-cornered hat: the two
 solvers see the same images, so it is what they do not share).
@@ -14,7 +14,6 @@ import argparse
 import json
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import time
@@ -30,7 +29,7 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 
 import pycolmap  # isort: skip
 
-from benchmarks import close, datasets
+from benchmarks import datasets
 from benchmarks.sfm.agree import centres, compare
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
@@ -75,9 +74,9 @@ def main(argv: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         for item in [*args.run, *args.runs]:
             name, folder = item.split("=", 1)
-            dataset = close.load(name, Path(scratch))
+            dataset = datasets.load(name, Path(scratch))
             if item in args.run:
-                _run(dataset, Path(folder))
+                dataset.run(Path(folder), "sparse")
             rows.append(measure(name, dataset, Path(folder), second.get(name)))
             sys.stdout.write(json.dumps(rows[-1]) + "\n")
             sys.stdout.flush()
@@ -86,13 +85,6 @@ def main(argv: list[str] | None = None) -> int:
         machine = {"machine": platform.machine(), "cpus": os.cpu_count(), "load": os.getloadavg()[0]}
         args.output.write_text(json.dumps({**machine, "rows": rows}, indent=1) + "\n")
     return 0
-
-
-def _run(dataset: datasets.Dataset, folder: Path) -> None:
-    files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
-    given = [word for name, value in files.items() if value is not None for word in (f"--{name}", str(value))]
-    command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(dataset.images), "-o", str(folder)]
-    subprocess.run([*command, *given, "--until", "sparse"], check=True, stdout=subprocess.DEVNULL)
 
 
 def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | None = None) -> dict[str, Any]:

@@ -101,10 +101,13 @@ _PRINTED = {"largest": lambda v: f"{v:.0f}", "ate_m": _metres, "cpu_s": lambda v
 def write(root: Path = _ROOT) -> None:
     """Put the table of figures between its markers in the documents."""
     for name, (sets, others) in _DOCUMENTS.items():
-        path = root / name
-        before, _, rest = path.read_text().partition(BEGIN)
-        _, _, after = rest.partition(END)
-        path.write_text(f"{before}{BEGIN}\n{figures(sets, others)}\n{END}{after}")
+        put(root / name, BEGIN, END, figures(sets, others))
+
+
+def put(document: Path, begin: str, end: str, text: str) -> None:
+    """Write a text between two markers of a document."""
+    before, _, rest = document.read_text().partition(begin)
+    document.write_text(f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}")
 
 
 def markdown(results: dict[str, Any], against: str, stages: bool = True) -> str:

@@ -24,7 +24,7 @@ import tiegraph  # noqa: F401  before pycolmap
 
 import pycolmap  # isort: skip
 
-from benchmarks import accuracy, close, datasets
+from benchmarks import accuracy, datasets
 from benchmarks.confront import sets
 from benchmarks.confront.given import write
 from benchmarks.sigma import reference_poses
@@ -48,9 +48,9 @@ class Variant:
 
 
 def load(name: str, work: Path) -> datasets.Dataset:
-    """A set of ``datasets`` or ``close``, or, as ``confront/NAME``, a clean survey of the confront bench."""
+    """A set of ``datasets`` or, as ``confront/NAME``, a clean survey of the confront bench."""
     if not name.startswith("confront/"):
-        return close.load(name, work / "inputs")
+        return datasets.load(name, work / "inputs")
     given = sets.load(name.partition("/")[2], work / "inputs")
     written = write(given, work / "inputs" / name.replace(":", "-"))
     return datasets.Dataset(name=name, cam_from_world=given.truth.cam_from_world, **written)
@@ -71,7 +71,7 @@ def run(dataset: datasets.Dataset, out: Path, settings: Settings, base: Path | N
 def start(dataset: datasets.Dataset, out: Path, until: str, settings: Settings, preset: str = "default") -> str:
     """Run a survey to ``out`` in a process of its own, or go on with it; the last line of its error, "" = none."""
     given: dict[str, Any] = {"images": dataset.images, "out": out, "settings": settings, "preset": preset}
-    given |= {n: v for n in ("rig", "gnss", "trajectory", "times") if (v := getattr(dataset, n)) is not None}
+    given |= dataset.files()
     command = [sys.executable, "-c", _DRIVER, json.dumps(given, default=str), until]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ})
     return (done.stderr.strip().splitlines() or ["no word"])[-1][:300] if done.returncode else ""

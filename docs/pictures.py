@@ -23,8 +23,8 @@ def main(out: Path) -> None:
     project = tiegraph.open(out=out)
     cloud = project.cloud()
     centres = [image.projection_center() for image in project.model().images.values()]
-    view = standard_views(np.asarray(cloud.xyz_m), np.asarray(cloud.rgb), np.array(centres), WIDTH)[1]
-    cv2.imwrite(str(FOLDER / "cloud.jpg"), view.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    _, view, _ = standard_views(np.asarray(cloud.xyz_m), np.asarray(cloud.rgb), np.array(centres), WIDTH)[1]
+    cv2.imwrite(str(FOLDER / "cloud.jpg"), view[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if (out / "mesh" / "mesh.glb").exists():
         picture = mesh_view(out / "mesh" / "mesh.glb", np.array(centres))
         cv2.imwrite(str(FOLDER / "mesh.jpg"), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])

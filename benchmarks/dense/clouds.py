@@ -25,11 +25,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pycolmap
+from scipy.spatial import cKDTree
 
 from benchmarks.accuracy import pose_centre
 from benchmarks.datasets import Dataset, load
-from benchmarks.dense.scans import PandaScans
-from benchmarks.dense.survey import true_depth
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
@@ -39,11 +38,12 @@ from tiegraph.dense.plan import ImagePlan, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tsgm import MAX_CELLS, match_sgbm, match_tsgm
 from tiegraph.dense.tuning import Tuning
-from tiegraph.dense.undistort import load_view
+from tiegraph.dense.undistort import load_view, pinhole_of
 from tiegraph.evaluate.clouds.nearest import Cameras, cloud_to_cloud, criteria_of, nearest
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.tuning import CloudTuning as JudgedCloud
 from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.transforms import apply
 from tiegraph.pipeline.dense import coloured
 from tiegraph.scene.cloudchunks import open_cloud, points_of
 from tiegraph.scene.cloudfile import write_cloud
@@ -275,6 +275,79 @@ def reference_points(path: Path) -> np.ndarray:
         return open_cloud(path).sample(_MOST_POINTS)
     with np.load(path) as file:
         return file["xyz_cm"].astype(float) / 100
+
+
+# --- true depths: of rendered images, and from laser scans ------------------------------------------------------------
+
+
+_DEPTH_SCALE = 256  # truth is uint16, metres times this
+_STATIC = 4  # class of the truth masks that has a depth worth comparing
+
+
+def true_depth(plan: ImagePlan, folder: Path, settings: DenseSettings) -> np.ndarray | None:
+    """Depth at the pixels of the undistorted image, NaN = unknown or an edge; None = no truth for the image."""
+    path = (folder / plan.view.name).with_suffix(".png")
+    if not path.exists():
+        return None
+    depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    mask = cv2.imread(str((folder.parent / "masks" / plan.view.name).with_suffix(".png")), cv2.IMREAD_UNCHANGED)
+    metres = depth.astype(np.float32) / _DEPTH_SCALE
+    metres[metres <= 0] = np.nan
+    if mask is not None:
+        metres[mask != _STATIC] = np.nan
+    low, high = cv2.erode(metres, np.ones((3, 3))), cv2.dilate(metres, np.ones((3, 3)))
+    metres = np.where(high < 1.1 * np.minimum(low, 1e6), metres, np.float32(np.nan))
+    K, (width, height) = pinhole_of(plan.view.camera, settings)
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
+    at = (
+        np.asarray(plan.view.camera.to_pycolmap().img_from_cam(rays)).reshape(height, width, 2).astype(np.float32) - 0.5
+    )
+    outside = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": float("nan")}
+    return cv2.remap(metres, at[..., 0], at[..., 1], cv2.INTER_NEAREST, **outside)
+
+
+_HIDDEN_PX = 21  # the laser stands elsewhere than the camera: a point is hidden by one much nearer within this window
+_HIDDEN = 1.05
+_MESH = 1.2  # and where others lie this much further within the window, it may be on a mesh that images see through
+_STATIC_M = 0.12  # a point further than this from the cloud of what stands still is on something that may move
+
+
+def scan_depth(plan: ImagePlan, xyz: np.ndarray, counted: np.ndarray, settings: DenseSettings) -> np.ndarray:
+    """(H, W) f4 depth at the pixels of the undistorted image that a counted (N,) bool point (N, 3), in the model's
+    world, falls on; NaN elsewhere, where any point near by would hide it, and where the surface
+    is not closed."""
+    K, (width, height) = pinhole_of(plan.view.camera, settings)
+    local = apply(plan.view.cam_from_world, xyz)
+    counted, local = counted[local[:, 2] > 0], local[local[:, 2] > 0]
+    at = local @ K.T
+    column, row = (np.floor(at[:, k] / at[:, 2]).astype(int) for k in (0, 1))
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    inverse, any_inverse = np.zeros((2, height, width), np.float32)
+    for image, points in ((inverse, inside & counted), (any_inverse, inside)):
+        np.maximum.at(image, (row[points], column[points]), (1 / local[points, 2]).astype(np.float32))
+    nearest = cv2.dilate(any_inverse, np.ones((_HIDDEN_PX, _HIDDEN_PX)))
+    furthest = cv2.erode(np.where(any_inverse > 0, any_inverse, np.float32(1e6)), np.ones((_HIDDEN_PX, _HIDDEN_PX)))
+    seen = (inverse > 0) & (nearest < _HIDDEN * inverse) & (furthest * _MESH > inverse)
+    return np.where(seen, 1 / np.where(seen, inverse, 1), np.nan).astype(np.float32)
+
+
+class PandaScans:
+    """PandaSet's scans, one a frame, without what moves; depths of an image by its name and the model's alignment."""
+
+    def __init__(self, folder: Path, static: np.ndarray, world_from_model: Similarity) -> None:
+        self.folder, self.static, self.fit = folder, cKDTree(static), world_from_model
+
+    def __call__(self, plan: ImagePlan, settings: DenseSettings) -> np.ndarray | None:
+        """True depth of an image, None where its frame has no scan."""
+        path = self.folder / f"{Path(plan.view.name).stem}.npz"
+        if not path.exists():
+            return None
+        with np.load(path) as file:
+            xyz = file["xyz_cm"].astype(float) / 100
+        still = self.static.query(xyz, distance_upper_bound=_STATIC_M)[0] < _STATIC_M
+        model = (xyz - self.fit.translation) @ self.fit.rotation / self.fit.scale
+        return scan_depth(plan, model, still, settings)
 
 
 if __name__ == "__main__":

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.features.preview import Preview, PreviewMatch
+from tiegraph.features.preview import PreviewMatch
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -113,21 +112,6 @@ class CanalWorld:
                     key = (0.0 if s == t else float(self.start_m[t] - self.start_m[s]), turned)
                     out.setdefault(key, []).append((left[found], right[found]))
         return {k: (np.concatenate([g[0] for g in v]), np.concatenate([g[1] for g in v])) for k, v in out.items()}
-
-    def write_previews(self, folder: Path) -> None:
-        """Preview files below ``folder``: descriptors are those of the texture's point, weathered, and noise."""
-        rng = np.random.default_rng(self.rng)
-        known = rng.gamma(0.5, size=((int(self.texture.max()) + 1) * POINTS, 128)).astype(np.float32)
-        for name, image, brightness in zip(self.scene.names, self.images, self.brightness):
-            x = known[self.texture[image.point // POINTS] * POINTS + image.point % POINTS]
-            x = np.sqrt(x * rng.gamma(4, 0.25, x.shape))
-            x = 512 * x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
-            descriptors = np.clip(x, 0, 255).astype(np.uint8)
-            shares = np.full(16, 1 / 16, np.float32)
-            preview = Preview(image.xy, descriptors, WIDTH, HEIGHT, PREVIEW_SCALE, float(brightness), 40.0, shares)
-            path = folder / f"{name}.npz"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(path, **preview.to_npz())  # type: ignore[arg-type]
 
     def overlap(self, every: int = 4) -> np.ndarray:
         """(N, N) f2 larger share of the points in one field of view that are in the other, from every so many-th."""

@@ -50,17 +50,15 @@ def run_tiegraph(dataset: Dataset, folder: Path, options: list[str], timeout_s: 
     """``tiegraph run`` with the files a user has; CPU and memory of all stages so far, by their receipts (a run that
     continues another then costs what both cost) and not less than the process tree itself needed."""
     folder.mkdir(parents=True, exist_ok=True)
-    files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
     command = [str(Path(sys.executable).with_name("tiegraph")), "run", str(dataset.images), "-o", str(folder / "out")]
-    for name, value in files.items():
-        if value is not None:
-            # Copied: a temporary path that changes from run to run would make the folder start anew.
-            if isinstance(value, Path) and value.is_file():
-                kept = folder / value.name
-                if not kept.exists():
-                    shutil.copy(value, kept)
-                value = kept
-            command += [f"--{name}", str(value)]
+    for name, value in dataset.files().items():
+        # Copied: a temporary path that changes from run to run would make the folder start anew.
+        if isinstance(value, Path) and value.is_file():
+            kept = folder / value.name
+            if not kept.exists():
+                shutil.copy(value, kept)
+            value = kept
+        command += [f"--{name}", str(value)]
     said = measured([*command, *options], folder / "log.txt", timeout_s)
     spent = _spent(folder / "out")
     said["stages"] = spent

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from benchmarks import close, datasets
+from benchmarks import datasets
 from tiegraph.geometry import transforms
 from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.rig import Rig, Sensor
@@ -36,7 +36,7 @@ REFERENCE = {"kitti_stereo": "image_l", "pandaset": "front_camera"}  # the camer
 
 def load(name: str, work: Path, sections: Callable[[], Scene] | None = None) -> datasets.Dataset:
     """One of ``SIX``, ``kitchen 40``, ``canal_demo section K`` (of the scene that ``sections`` gives), or any set of
-    ``benchmarks.close``; files are made below ``work``."""
+    ``benchmarks.datasets``; files are made below ``work``."""
     work.mkdir(parents=True, exist_ok=True)
     if name == "kitchen 40":
         return _kitchen(work, 0, 40)
@@ -53,7 +53,7 @@ def load(name: str, work: Path, sections: Callable[[], Scene] | None = None) -> 
         assert sections is not None
         whole, _, number = name.partition(" section ")
         return _section(datasets.load(whole, work), sections(), int(number), work)
-    return close.load(name, work)
+    return datasets.load(name, work)
 
 
 def _kitchen(work: Path, first: int, count: int) -> datasets.Dataset:
@@ -65,7 +65,7 @@ def _kitchen(work: Path, first: int, count: int) -> datasets.Dataset:
     width, height = _SIZE
     params = [_FOCAL_PX, _FOCAL_PX, width / 2, height / 2]
     camera = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params)
-    images = close.linked(files, work)
+    images = datasets.linked(files, work)
     rig = datasets.write_rig(Rig("camera", (Sensor("camera", camera),)), work)
     return datasets.Dataset(name="kitchen", images=images, cam_from_world=truth, rig=rig, cameras={"": camera})
 
@@ -73,7 +73,7 @@ def _kitchen(work: Path, first: int, count: int) -> datasets.Dataset:
 def _section(dataset: datasets.Dataset, scene: Scene, number: int, work: Path) -> datasets.Dataset:
     """The frames of one section as a survey of their own (links)."""
     names = [n for n, s in zip(scene.names, scene.section[scene.frame]) if s == number]
-    images = close.linked({n: (dataset.images / n).resolve() for n in names}, work / "section")
+    images = datasets.linked({n: (dataset.images / n).resolve() for n in names}, work / "section")
     truth = {n: dataset.cam_from_world[n] for n in names}
     return replace(dataset, images=images, cam_from_world=truth)
 
@@ -116,7 +116,7 @@ def every_nth(dataset: datasets.Dataset, step: int, work: Path) -> datasets.Data
     for camera in sorted({n.partition("/")[0] for n in dataset.cam_from_world}):
         own = sorted(n for n in dataset.cam_from_world if n.startswith(f"{camera}/"))[::step]
         kept |= {name: dataset.cam_from_world[name] for name in own}
-    images = close.linked({n: (dataset.images / n).resolve() for n in kept}, work / "every")
+    images = datasets.linked({n: (dataset.images / n).resolve() for n in kept}, work / "every")
     times = dataset.times
     if times is not None:
         rows = [r for r in times.read_text().splitlines() if r == "image,time" or r.partition(",")[0] in kept]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.real.sets import Survey
-from benchmarks.table import line
+from benchmarks.table import line, put
 
 _SHOWN = {
     "in the largest model": ("largest", "{:.0f}"),
@@ -55,11 +55,8 @@ def sources(surveys: Sequence[Survey]) -> str:
 
 def write(figures: str, surveys: Sequence[Survey], path: Path = DOCUMENT) -> None:
     """Put both tables between their markers in README.md."""
-    text = path.read_text()
     for (begin, end), new in zip(MARKERS, (sources(surveys), figures)):
-        before, _, rest = text.partition(begin)
-        text = f"{before}{begin}\n{new}\n{end}{rest.partition(end)[2]}"
-    path.write_text(text)
+        put(path, begin, end, new)
 
 
 def error_m(row: dict[str, Any]) -> float | None:

@@ -26,10 +26,11 @@ import cv2
 import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
+from benchmarks import run
 from benchmarks.network.canalworld import CanalWorld, _visible
-from benchmarks.scale.results import save
 from benchmarks.scale.standin import without_pixels
 from benchmarks.scale.survey import read_survey, write_survey
+from tiegraph.__version__ import __version__
 from tiegraph.features.matchblocks import BLOCK_PAIRS, cut
 from tiegraph.pipeline import STAGES as TABLE
 from tiegraph.pipeline.candidates import candidates
@@ -225,7 +226,8 @@ def main(argv: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(prefix="tiegraph-scale-", dir=given.folder) as folder:
             rows += survey(images, Path(folder), given)
         if given.output is not None:
-            save(given.output, rows, given.note)
+            about = {"format": 1, "machine": run._machine(), "tiegraph": __version__, "note": given.note}
+            given.output.write_text(json.dumps(run._rounded({**about, "runs": rows}), indent=1) + "\n")
     sys.stdout.write(markdown(rows) + "\n")
     return 0
 

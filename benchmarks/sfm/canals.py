@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
-from benchmarks import close, datasets, variants
+from benchmarks import datasets, variants
 from tiegraph.geometry.align import PlacementError, robust_umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
 from tiegraph.scene.colmapmodel import read_model
@@ -149,7 +149,7 @@ def _cases(args: argparse.Namespace, seed: int, kinds: list[str]) -> None:
     folder = args.work / f"{args.preset}-{seed}-{args.weather:g}"
     shutil.rmtree(folder, ignore_errors=True)
     render(args.generator, args.python, args.preset, seed, args.weather, folder / "canal")
-    dataset, bad = close.load(f"canal@{folder / 'canal'}", folder), False
+    dataset, bad = datasets.load(f"canal@{folder / 'canal'}", folder), False
     for kind in kinds:
         file = folder / "canal" / "sensors" / ("gnss.csv" if kind == "given" else f"gnss_{kind}.csv")
         out = folder / ("none" if kind == "none" else "out")

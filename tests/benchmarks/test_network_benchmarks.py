@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 from benchmarks.datasets import Dataset
-from benchmarks.network import find, lists, overlap, scale
+from benchmarks.network import find, lists, overlap
 from benchmarks.network.canalworld import canal_world
 from benchmarks.network.measure import measured
 
@@ -175,9 +175,3 @@ def test_simulated_canal_has_true_and_false_ties() -> None:
     assert same.mean() > 0.8 and len(match.matches) == match.inliers
     turn = world.cam_from_world[j[best], :3, :3] @ world.cam_from_world[i[best], :3, :3].T
     assert match.rotation is not None and np.allclose(match.rotation, turn)
-
-
-def test_growth_is_told() -> None:
-    rows = [{"images": n, "previews": 10 * n, "network_cpu_s": n**2 / 1e4, "recall": 0.9} for n in (500, 1000)]
-    text = scale.markdown(rows)
-    assert "previews 1.00, network_cpu_s 2.00" in text and "| 90.0 % |" in text

@@ -7,9 +7,9 @@ import pytest
 
 from clouds_world import ground
 from tiegraph.evaluate.accuracy import Predicted, Stated, in_layers, passes_figure
+from tiegraph.evaluate.clouds.judge import TABLE, PassAgreement, by_section, near_places
 from tiegraph.evaluate.clouds.m3c2 import cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras
-from tiegraph.evaluate.clouds.passes import TABLE, PassAgreement, by_section, near_places
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.tuning import PassesTuning, Tuning
 from tiegraph.scene.cloudchunks import Points, PointSource

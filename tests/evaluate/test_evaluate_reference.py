@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from said import refused, says
 from tiegraph.evaluate import reference
-from tiegraph.evaluate.backprojection import View, pinhole_views
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
@@ -241,8 +240,3 @@ def test_the_rendered_canal_matches_itself(data_root: Path) -> None:
     assert len(reference.read_reference_poses(folder / "colmap").by_image) == 120
     time_s, body = reference.read_tum(folder / "rig_up.tum")
     assert len(time_s) == 10 and np.all(np.isfinite(body))
-
-
-def test_view_of_pinhole() -> None:
-    views = pinhole_views(make_model(make_scene()))
-    assert len(views) == 24 and isinstance(views[0], View) and views[0].K[0, 0] == 500

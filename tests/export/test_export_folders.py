@@ -13,7 +13,7 @@ from PIL import Image
 import tiegraph
 from export_world import FRAMES, LENSES, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.export import lens
+from tiegraph.export import exporters as lens
 from tiegraph.export.exporters import in_thousandths
 from tiegraph.export.survey import unique_names
 from tiegraph.geometry.transforms import apply, invert

@@ -1,14 +1,20 @@
-"""The presets of the papers: what a paper did not have is off in them, and on by default."""
+"""The presets of the papers: what a paper did not have is off in them, and on by default. By the receipts of the
+measured runs nothing of tiegraph's own acted. The pages of the papers name functions that exist.
+"""
 
 import json
+import re
 from dataclasses import replace
 from functools import reduce
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from benchmarks.papers.measure import RESULTS
+from benchmarks.papers.ours import LEVELLED, STEPS, ours
 
 from boat_world import boat, ring
 from network_steps import context_of
@@ -147,3 +153,66 @@ def test_the_bridge_of_canal_demo_is_found(data_root: Path) -> None:
     kinds = np.array([s.kind for s in found.sections])
     assert np.array_equal(kinds[found.of_frame] == "bridge", by_frame == 1)
     assert len(find_sections(scene, passes, UpLight(grey), tuning).sections) == 1
+
+
+PAGES = Path(__file__).parents[2] / "docs" / "papers"
+
+
+@pytest.mark.parametrize("paper", ["000", "001", "002", "003", "004"])
+def test_what_a_page_names_exists(paper: str) -> None:
+    names = re.findall(r"`([a-z_0-9.]+):([A-Za-z_0-9]+)`", (PAGES / f"{paper}.md").read_text())
+    assert len(names) >= 10
+    lost = [f"{module}:{name}" for module, name in names if not hasattr(import_module(f"tiegraph.{module}"), name)]
+    assert not lost
+
+
+ROWS = [r for r in json.loads(RESULTS.read_text())["runs"] if "ours" in r]
+RUNS = {"columns": ["mapper"], "rows": [["incremental", "absent", "none", "", 1]]}
+
+
+def receipts(**changed: dict) -> dict:
+    """Those of a paper's recipe, with other values of some."""
+    plain = {
+        "candidates": {"notes": ["up runs back along down"]},
+        "coarse": {"settings": {"method": "off"}},
+        "design": {"settings": {"method": "all"}},
+        "filter": {"settings": {"method": "off"}},
+        "sparse": {"counts": {}, "tables": {"runs": RUNS, "models": {}}, "notes": []},
+        "georef": {"settings": {"antenna": "ignored", "adjust": "no"}, "notes": [], "tables": {}},
+    }
+    return {stage: {**said, **changed.get(stage, {})} for stage, said in plain.items()}
+
+
+@pytest.mark.parametrize(
+    "step, changed",
+    [
+        ("rig check", {"candidates": {"notes": ["rig boat: the images agree with its sense of rotation"]}}),
+        ("coarse model", {"coarse": {"settings": {"method": "mapper"}}}),
+        ("choice of pairs", {"design": {"settings": {"method": "hybrid"}}}),
+        ("view-graph filtering", {"filter": {"settings": {"method": "auto"}}}),
+        ("final adjustment", {"sparse": {"notes": ["final robust adjustment: 0.3 -> 0.2 px"]}}),
+        ("checks of frames, rig and lenses", {"sparse": {"tables": {"runs": RUNS, "rig diagnostics": {}}}}),
+        ("sigmas of the model", {"sparse": {"counts": {"position_sigma_median": 0.1}}}),
+        ("lever arm", {"georef": {"settings": {"antenna": "auto", "adjust": "no"}}}),
+        ("adjustment with positions", {"georef": {"settings": {"antenna": "ignored", "adjust": "auto"}}}),
+        (LEVELLED, {"georef": {"notes": ["levelled by the upward direction of the ring"]}}),
+        ("models joined by matches",
+         {"georef": {"tables": {"models in one world": {"rows": [["sparse/1", 35, "matches"]]}}}}),
+        ("rig, positions or a second try of the mapper",
+         {"sparse": {"tables": {"runs": {"rows": [["global", "absent", "none", "", 1]]}}}}),
+    ],
+)  # fmt: skip
+def test_each_step_of_ours_shows_in_the_receipts(step: str, changed: dict) -> None:
+    assert ours(receipts()) == [] and step in STEPS
+    filled = receipts(**changed)
+    for stage, said in receipts().items():
+        filled[stage] = {**said, **filled[stage]}
+    assert ours(filled) == [step]
+
+
+@pytest.mark.parametrize("method", ["conventional", "meguro2024", "meguro2025"])
+def test_nothing_of_ours_acted_in_a_recipe(method: str) -> None:
+    rows = [r for r in ROWS if r["method"] == method]
+    assert rows and all(r["status"] == "done" for r in rows), "python -m benchmarks.papers 000 001 --run"
+    allowed = {LEVELLED} if method == "meguro2025" else set()
+    assert all(set(r["ours"]) <= allowed for r in rows)

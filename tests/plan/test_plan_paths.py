@@ -10,11 +10,11 @@ import pytest
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.geometry.transforms import skew
 from tiegraph.pipeline.plan import _propagate
-from tiegraph.plan.accuracy import ControlPoints, Fix, Known, Receiver, Shape, _world
-from tiegraph.plan.network import MountedCamera, Network, Ties, _hit, make_network
+from tiegraph.plan.accuracy import Fix, Known, PathPlan, Shape, _world, plan_path
+from tiegraph.plan.network import MountedCamera, Network, _hit, make_network
 from tiegraph.plan.path import SHAPES, Course, Path, make_path, read_anchor
-from tiegraph.plan.places import PathPlan, plan_path
 from tiegraph.plan.planner import Rigged
+from tiegraph.plan.request import WorldRequest
 from tiegraph.plan.tuning import Tuning
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
@@ -86,7 +86,7 @@ def test_an_orbit_that_looks_down_stands_higher_round_the_same_middle_and_sees_t
 def network(course: Course = SIDEWAYS, most: int = 800, tie_px: float = 0.2) -> tuple[Path, Network]:
     path = make_path(course, TUNING.path)
     tuning = TUNING.network.model_copy(update={"most_points": most})
-    return path, make_network(path, [camera(), camera("cam1", 0.5)], Ties(tie_px), 0.4, tuning)
+    return path, make_network(path, [camera(), camera("cam1", 0.5)], WorldRequest(tie_px=tie_px), 0.4, tuning)
 
 
 def test_the_network_is_what_the_cameras_see():
@@ -111,12 +111,12 @@ def test_the_network_is_what_the_cameras_see():
 def test_sigmas_follow_the_noise_and_not_the_number_simulated():
     """Twice the noise, twice the sigma; half the points of so much smaller errors, the same sigma. Symmetric paths have
     symmetric sigmas."""
-    told = (None, ControlPoints(0, 0.01))
 
     def plan(tie_px: float, most: int) -> PathPlan:
         tuning = TUNING.model_copy(update={"network": TUNING.network.model_copy(update={"most_points": most})})
         path = make_path(SIDEWAYS, TUNING.path)
-        return plan_path(path, [camera(), camera("cam1", 0.5)], propagated, told, (Ties(tie_px), 0.4), tuning)
+        world = WorldRequest(tie_px=tie_px)
+        return plan_path(path, [camera(), camera("cam1", 0.5)], propagated, world, 0.4, tuning)
 
     few, twice, many = plan(0.15, 1500), plan(0.3, 1500), plan(0.15, 3000)
     middle = np.median(few.expected.shape)
@@ -197,6 +197,10 @@ def test_waypoints_on_the_earth_keep_lengths_and_heading():
     assert 99.9 < np.linalg.norm(grid[1, :2] - grid[0, :2]) < 100.1
 
 
+def asked(**world) -> None:
+    WorldRequest(**world).check(TUNING.world)
+
+
 @pytest.mark.parametrize(
     "make, said",
     [
@@ -205,12 +209,12 @@ def test_waypoints_on_the_earth_keep_lengths_and_heading():
         (lambda: make_path(replace(COURSE, passes=1, length_m=1), TUNING.path), "1 frame"),
         (lambda: network(replace(COURSE, base_m=0.01)), "1500"),
         (lambda: network(replace(COURSE, turned_deg=(0, 90))), "see past it"),
-        (lambda: Ties(0.0), "--tie-px 0"),
-        (lambda: Ties(0.2, 0), "--ties 0"),
-        (lambda: Receiver(0.0, 0.02), "--gnss 0"),
-        (lambda: Receiver(0.02, 0.02, ((5, 3),)), "--outage 5-3"),
-        (lambda: ControlPoints(-1, 0.01), "--control -1"),
-        (lambda: ControlPoints(1, 0.0), "--control-sigma 0"),
+        (lambda: asked(tie_px=0.0), "--tie-px 0"),
+        (lambda: asked(ties=0), "--ties 0"),
+        (lambda: asked(gnss="0,0.02"), "--gnss 0"),
+        (lambda: asked(gnss="0.02", outage=("5-3",)), "--outage 5-3"),
+        (lambda: asked(control=-1), "--control -1"),
+        (lambda: asked(control=1, control_sigma=0.0), "--control-sigma 0"),
         (lambda: read_anchor("91,3", 0.0), "--origin 91,3"),
         (lambda: read_anchor("here", 0.0), "LAT,LON"),
     ],

@@ -16,7 +16,7 @@ from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
 from tiegraph.pipeline.report import report
 from tiegraph.plan.figures import effort
-from tiegraph.plan.tables import comparison
+from tiegraph.plan.planner import comparison
 from tiegraph.plan.tuning import Tuning
 from tiegraph.report.settings import ReportSettings
 

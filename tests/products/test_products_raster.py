@@ -15,7 +15,7 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.products.raster import Place, read_window, relief, write_raster
 from tiegraph.products.surface import Surface, Window
 from tiegraph.products.terrain import Line
-from tiegraph.report.spatial import product_views
+from tiegraph.report.parts import product_views
 
 ORIGIN = Origin(lat_deg=35.7, lon_deg=139.8, height_m=40.0, crs="EPSG:32654", shift_m=(388700.0, 3951000.0, 40.0))
 SAID = "accuracy predicted: in the world 0.02 m"

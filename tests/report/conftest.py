@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from fake_survey_run import make_run
 
-from tiegraph.report import spatial
+from tiegraph.report import cloudview
 from tiegraph.report.html import write_report
 from tiegraph.report.settings import ReportSettings
 
@@ -14,7 +14,7 @@ from tiegraph.report.settings import ReportSettings
 def small_views():
     """The static views are a quarter as wide."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(spatial, "VIEW_PX", 350)
+        patch.setattr(cloudview, "VIEW_PX", 350)
         yield
 
 

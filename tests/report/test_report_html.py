@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from said import refused, says
 from tiegraph.geometry import transforms
-from tiegraph.report import charts, cloudview, formatting, summary
+from tiegraph.report import cloudview, formatting, network, summary
 from tiegraph.report.html import environment, write_report
-from tiegraph.report.maps import frame_positions, tracks
-from tiegraph.report.parts import metric_text, network_part
+from tiegraph.report.maps import frame_positions, scenery, tracks
+from tiegraph.report.network import network_part
+from tiegraph.report.parts import metric_text
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.spatial import scenery
 from tiegraph.scene.colmapmodel import Registration
 
 SMALL = ReportSettings(viewer_points=2000)
@@ -170,13 +170,13 @@ def test_the_cloud_comes_back_into_the_world(full: Path) -> None:
 
 def test_funnel_rows_add_up(full: Path) -> None:
     run = read_run(full)
-    rows = charts.funnel_rows(run.pairs, run.network)
+    rows = network.funnel_rows(run.pairs, run.network)
     counts = {name: n for name, n, _ in rows}
     names = [name for name, _, _ in rows]
     before = names.index("matched at full resolution")
-    gone = sum(n for name, n, _ in rows[:before] if charts.is_loss(name))
+    gone = sum(n for name, n, _ in rows[:before] if network.is_loss(name))
     assert counts["candidates"] - gone == counts["matched at full resolution"] > counts["verified"] > 0
-    left = charts.pairs_left(rows)
+    left = network.pairs_left(rows)
     assert left[before] == counts["matched at full resolution"] and left[-1] == left[-2] == counts["verified"]
 
 

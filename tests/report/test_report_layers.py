@@ -17,13 +17,14 @@ from markupsafe import escape
 from accuracy_marks import check, unmarked
 from said import refused, says
 from tiegraph.errors import EngineMissing
-from tiegraph.report import accuracy, formatting, html, pdf, spatial, texts
+from tiegraph.report import accuracy, formatting, html, maps, pdf, texts
+from tiegraph.report.client import schema
 from tiegraph.report.formatting import without_folders
-from tiegraph.report.html import environment, schema, write_report
+from tiegraph.report.html import environment, write_report
+from tiegraph.report.parts import about
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.tables import about
-from tiegraph.report.warnings import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
+from tiegraph.report.summary import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
 from tiegraph.scene.composed import WIDE, carrying
 from tiegraph.scene.results import Accuracy, Figure
 from tiegraph.scene.scene import Scene
@@ -179,7 +180,7 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
 
 
 def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
-    seen = spatial.scenery(read_run(full, 5000))
+    seen = maps.scenery(read_run(full, 5000))
     assert seen.north
     place = seen.place
     at = place.at(np.array([[place.low[0], place.high[1]], [place.high[0], place.low[1]]]))
@@ -188,10 +189,10 @@ def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
     assert inside.mean() > 0.9, "the surface that was surveyed is on the map, not only the way"
     far = replace(seen, xyz=seen.xyz + [10_000, 0, 0])
     assert np.ptp([far.place.low[0], far.place.high[0]]) < 4 * np.ptp([place.low[0], place.high[0]])
-    assert spatial.overlap_map(far) is not None, "an empty one"
-    overlap = spatial.overlap_map(seen)
+    assert maps.overlap_map(far) is not None, "an empty one"
+    overlap = maps.overlap_map(seen)
     assert overlap is not None and "4–5 images" in overlap
-    assert spatial.ellipse_map(read_run(full, 5000), seen) is None, "the run says nothing of its placement's covariance"
+    assert maps.ellipse_map(read_run(full, 5000), seen) is None, "the run says nothing of its placement's covariance"
 
 
 def test_without_a_browser_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

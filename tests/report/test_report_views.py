@@ -9,13 +9,19 @@ from fake_survey_run import make_run
 
 from accuracy_marks import check, unmarked
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.report import cloudview
-from tiegraph.report.cloudview import CloudView, by_height, compass, render, standard_views, with_scale_bar
+from tiegraph.report import cloudview, drawing
+from tiegraph.report.cloudview import (
+    compass,
+    distance_scales,
+    render,
+    section_scale,
+    standard_views,
+    with_scale_bar,
+)
 from tiegraph.report.html import write_report
 from tiegraph.report.parts import PASSES
 from tiegraph.report.runfolder import RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.spatial import distance_scales, section_scale
 from tiegraph.scene.cloudchunks import Measured, write_measured
 
 RED, BLUE = [200, 30, 30], [30, 30, 200]
@@ -58,8 +64,8 @@ def test_three_views_of_a_cloud_without_colour() -> None:
     xyz, _ = plate(1, 10, RED, 5000)
     xyz[0] = 1e6  # a stray point must not shrink the rest
     views = standard_views(xyz, np.zeros((len(xyz), 3), np.uint8), xyz[:5], 400)
-    assert [v.name.split()[0] for v in views] == ["Top", "Oblique", "Oblique"]
-    assert all(v.px_per_m > 10 for v in views) and all(v.rgb.std() > 1 for v in views)
+    assert [name.split()[0] for name, _, _ in views] == ["Top", "Oblique", "Oblique"]
+    assert all(scale > 10 and picture.std() > 1 for _, picture, scale in views)
     assert standard_views(xyz[:0], xyz[:0].astype(np.uint8), xyz[:0], 400) == []
 
 
@@ -67,9 +73,9 @@ def test_helpers() -> None:
     assert compass(0) == "the east" and compass(-90) == "the south" and compass(450) == "the north"
     diagonal = cloudview.main_axis_deg(np.array([[0, 0, 0], [5.0, 5, 0], [9, 9, 1]]))
     assert abs(diagonal % 180 - 45) < 1e-6
-    colours = by_height(np.linspace(0, 5, 100))
+    colours = drawing.by_height(np.linspace(0, 5, 100))
     assert colours.shape == (100, 3) and not np.array_equal(colours[0], colours[-1])
-    bar = with_scale_bar(CloudView("x", np.full((200, 400, 3), 247, np.uint8), 10.0), "m")
+    bar = with_scale_bar(np.full((200, 400, 3), 247, np.uint8), 10.0, "m")
     assert (bar != 247).any() and bar.shape == (200, 400, 3)
 
 

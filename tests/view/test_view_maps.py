@@ -17,7 +17,7 @@ from tiegraph.pipeline import terrain
 from tiegraph.pipeline.view import Viewed
 from tiegraph.products.raster import Place
 from tiegraph.products.terrain import Line
-from tiegraph.view.places import Known
+from tiegraph.view.layers import Known
 
 SHAPE = (100, 120)
 LINE = np.array([[388805.0, 3951205.0], [388810.0, 3951206.0], [388812.0, 3951210.0]])

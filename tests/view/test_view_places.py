@@ -9,8 +9,19 @@ import pytest
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.view import Viewed
 from tiegraph.scene.pairs import Pairs
-from tiegraph.view.layers import cameras, mesh, strung, ties, tinted
-from tiegraph.view.places import Known, coordinates, distance_sigma, hidden, nearest, sigmas
+from tiegraph.view.layers import (
+    Known,
+    cameras,
+    coordinates,
+    distance_sigma,
+    hidden,
+    mesh,
+    nearest,
+    sigmas,
+    strung,
+    ties,
+    tinted,
+)
 from view.view_world import COUNT, HIGH, KNOWN, NAMES, ORIGIN, K, as_run, cloud, poses
 
 

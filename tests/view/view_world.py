@@ -16,7 +16,7 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.pipeline.view import CLOUD, Viewed
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud, DepthMap, save_depth
-from tiegraph.view.places import Known
+from tiegraph.view.layers import Known
 
 ORIGIN = Origin(lat_deg=35.7, lon_deg=139.8, height_m=40.0, crs="EPSG:32654", shift_m=(388700.0, 3951000.0, 40.0))
 SIZE, COUNT, HIGH = (320, 240), 20_000, 6.0

@@ -10,8 +10,8 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.pipeline.plan import compare
 from tiegraph.pipeline.plan import plan as make_plan
+from tiegraph.plan.planner import path_tables, station_table
 from tiegraph.plan.request import PlanRequest
-from tiegraph.plan.tables import path_tables, station_table
 from tiegraph.project.verbtunings import read_tunings
 
 _DEFAULT = PlanRequest()

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from tiegraph.evaluate.clouds.judge import PassAgreement
 from tiegraph.evaluate.clouds.m3c2 import CONFIDENCE
 from tiegraph.evaluate.clouds.nearest import CloudComparison
-from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry.align import rms_length
@@ -263,7 +263,6 @@ def answered(tolerance_m: float, accuracy: Accuracy, stated: Stated, contradicte
 
 
 def _judged(tolerance_m: float, stated: Stated, beyond: Figure | None, measured: list[Figure]) -> tuple[str, str, str]:
-    """The answer, why, and what would make it yes."""
     predicted, hold = stated.predicted, stated.hold
     if not predicted.metric:
         return OPEN, "nothing tells the scale", "positions, control points, or the size of the rig"

@@ -1,6 +1,5 @@
 """Back-projection error of papers 000 and 001: a round trip through the images, named for what it is."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,17 +19,6 @@ _ROUNDING_PX = (2 / 12) ** 0.5  # standard deviation of a uniform rounding to wh
 
 
 @dataclass(frozen=True)
-class View:
-    """A pinhole image: K (3, 3), cam_from_world (4, 4), size in pixels."""
-
-    name: str
-    K: np.ndarray
-    cam_from_world: np.ndarray
-    width: int
-    height: int
-
-
-@dataclass(frozen=True)
 class Backprojection:
     """Result over all images: rmse_m (eq. 6), points N counted over all images, the error that rounding alone
     predicts."""
@@ -47,60 +35,40 @@ class Backprojection:
         ]
 
 
-def project(points_cam: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Pixels (N, 2) of camera points (N, 3): p = K X_c in homogeneous coordinates (paper 000, eq. 4-5)."""
-    p = points_cam @ np.asarray(K, float).T
-    return p[:, :2] / p[:, 2:]
-
-
-def backproject(pixels: np.ndarray, depth: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Camera points (N, 3) of pixels (N, 2) at known depth z_c (N,): X_c = z_c K^-1 [u v 1]^T (eq. 5 solved)."""
-    homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
-    return depth[:, None] * (homogeneous @ np.linalg.inv(K).T)
-
-
-def round_trip(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+def round_trip(points: np.ndarray, camera: Any, cam_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Differences X_true - R^T (X_est - t) (M, 3) and depths (M,) of the points (N, 3) that an image shows.
 
     A point counts when it lies in front of the camera and inside the frame. Occlusion is not looked at, as in the
-    paper.
+    paper. ``camera``: pycolmap's, as a pinhole without distortion: the round trip needs only K and the pose; leaving
+    the distortion out shifts which points fall into the frame.
     """
-    x_cam = transforms.apply(view.cam_from_world, points)
+    K = camera.calibration_matrix()
+    x_cam = transforms.apply(cam_from_world, points)
     front = np.flatnonzero(x_cam[:, 2] > 1e-6)
-    uv = project(x_cam[front], view.K)
-    inside = np.all((uv >= 0) & (uv < [view.width, view.height]), axis=1)
+    uvw = x_cam[front] @ K.T  # p = K X_c in homogeneous coordinates (eq. 4-5)
+    uv = uvw[:, :2] / uvw[:, 2:]
+    inside = np.all((uv >= 0) & (uv < [camera.width, camera.height]), axis=1)
     seen, uv = front[inside], uv[inside]
     # pixel (0, 0) is a corner: the pixel a point falls into is floor(u), its centre floor(u) + 0.5
-    x_est = backproject(np.floor(uv) + 0.5, x_cam[seen, 2], view.K)
-    world_from_cam = transforms.invert(view.cam_from_world)  # R^T (X - t)
+    pixel = np.column_stack([np.floor(uv) + 0.5, np.ones(len(uv))])
+    x_est = x_cam[seen, 2:] * (pixel @ np.linalg.inv(K).T)  # X_c = z_c K^-1 [u v 1]^T (eq. 5 solved)
+    world_from_cam = transforms.invert(cam_from_world)  # R^T (X - t)
     return points[seen] - transforms.apply(world_from_cam, x_est), x_cam[seen, 2]
 
 
-def backprojection_rmse(points: np.ndarray, views: Iterable[View], points_tried: int) -> Backprojection:
-    """Back-projection RMSE of a cloud (N, 3) over images (paper 000, eq. 6): sqrt(1/N sum |X_true - R^T(X_est - t)|^2).
+def backprojection_rmse(points: np.ndarray, model: Any, points_tried: int) -> Backprojection:
+    """Back-projection RMSE of a cloud (N, 3) over the images with a pose of a ``pycolmap.Reconstruction`` (paper 000,
+    eq. 6): sqrt(1/N sum |X_true - R^T(X_est - t)|^2).
 
     See MEANING. N counts every point once for each image that shows it; of a large cloud every n-th point is tried in
     an image, about ``points_tried``, other ones in the next. NaN when no image shows a point.
     """
     squares, rounding, count = 0.0, 0.0, 0
     step = max(1, len(points) // points_tried)
-    for turn, view in enumerate(views):
-        difference, z = round_trip(points[turn % step :: step], view)
+    for turn, image in enumerate(sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)):
+        camera = model.cameras[image.camera_id]
+        difference, z = round_trip(points[turn % step :: step], camera, matrix(image.cam_from_world()))
         squares, count = squares + float(np.sum(difference**2)), count + len(z)
-        rounding += float(z @ z) * _ROUNDING_PX**2 / (view.K[0, 0] * view.K[1, 1])
+        rounding += float(z @ z) * _ROUNDING_PX**2 / (camera.focal_length_x * camera.focal_length_y)
     rmse, expected = (float(np.sqrt(s / count)) if count else float("nan") for s in (squares, rounding))
     return Backprojection(rmse_m=rmse, points=count, rounding_m=expected)
-
-
-def pinhole_views(reconstruction: Any) -> list[View]:
-    """The images of a ``pycolmap.Reconstruction`` that have a pose, by name, as pinholes without distortion.
-
-    The round trip needs only K and the pose; leaving the distortion out shifts which points fall into the frame.
-    """
-    views = []
-    for image in reconstruction.images.values():
-        if image.has_pose:
-            camera, pose = reconstruction.cameras[image.camera_id], matrix(image.cam_from_world())
-            size = {"width": camera.width, "height": camera.height}
-            views.append(View(name=image.name, K=camera.calibration_matrix(), cam_from_world=pose, **size))
-    return sorted(views, key=lambda v: v.name)

@@ -156,7 +156,6 @@ def _sections(both: list[_Judged], section: np.ndarray) -> dict[str, Any]:
 
 
 def _speed_up(both: list[_Judged], lost: Sequence[np.ndarray], measured: bool) -> list[str]:
-    """What may be said of the costs, one sentence each."""
     a, b = (j.side for j in both)
     if not a.count or not b.count:
         none = " and ".join(s.name for s in (a, b) if not s.count)

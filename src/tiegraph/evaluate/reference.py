@@ -11,7 +11,7 @@ from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scene.colmapmodel import is_model, matrix
+from tiegraph.scene.colmapmodel import image_poses, is_model, matrix, registered_images
 from tiegraph.scene.namedposes import read_named_poses
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.scene import Scene
@@ -52,19 +52,15 @@ def model_poses(reconstruction: Any, scene: Scene) -> ModelPoses:
     The rig pose of a frame is the pose of the rig's first camera (its frame is the rig frame); where that image is
     missing, it is the model's own ``rig_from_world`` if the model has this rig, else NaN.
     """
-    cameras = np.full((len(scene), 4, 4), np.nan)
+    cameras = transforms.invert(image_poses(reconstruction, scene))
     rigs = np.full((scene.frames, 4, 4), np.nan)
     second = np.full((scene.frames, 4, 4), np.nan)
-    for image in reconstruction.images.values():
-        k = scene.image_index.get(image.name)
-        if k is None or not image.has_pose:
-            continue
-        cameras[k] = transforms.invert(matrix(image.cam_from_world()))
-        frame = scene.frame[k]
+    for k, image in registered_images(reconstruction, scene):
+        frame, placed = scene.frame[k], reconstruction.frame(image.frame_id)
         if scene.sensor[k] == 0:
             rigs[frame] = cameras[k]
-        elif reconstruction.rig(image.frame.rig_id).num_sensors() > 1:
-            second[frame] = transforms.invert(matrix(image.frame.rig_from_world))
+        elif reconstruction.rig(placed.rig_id).num_sensors() > 1:
+            second[frame] = transforms.invert(matrix(placed.rig_from_world))
     return ModelPoses(cameras, np.where(np.isnan(rigs), second, rigs))
 
 

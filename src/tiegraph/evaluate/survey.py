@@ -14,10 +14,9 @@ import scipy
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
 from tiegraph.evaluate.accuracy import Predicted, Stated, answered, cloud_figure, in_layers, passes_figure, pose_figures
-from tiegraph.evaluate.backprojection import backprojection_rmse, pinhole_views
-from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
+from tiegraph.evaluate.backprojection import backprojection_rmse
+from tiegraph.evaluate.clouds.judge import CloudJudgement, PassAgreement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
-from tiegraph.evaluate.clouds.passes import PassAgreement
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.trajectory import (
@@ -96,7 +95,7 @@ def evaluate_survey(
     found.metrics += registered_metrics(made.images)
     if cloud is not None:
         # Against its own points a camera model without depth maps says the same, and needs no reading of them.
-        result = backprojection_rmse(cloud.sample(_SAMPLE), pinhole_views(made.model), tuning.points_tried)
+        result = backprojection_rmse(cloud.sample(_SAMPLE), made.model, tuning.points_tried)
         found.metrics += result.metrics()
         found.notes.append(backprojection.MEANING)
     trajectory = judged = alignment = None
@@ -129,7 +128,6 @@ def _trajectory(
     tuning: Tuning,
     predicted: Predicted,
 ) -> TrajectoryError:
-    """Reference poses against the model's."""
     assert settings.reference is not None
     path, origin, metric = settings.reference, made.origin, predicted.metric
     match, said = reference.match_poses(reference.read_reference_poses(path), model, scene, tuning.trajectory.max_gap_s)
@@ -187,7 +185,6 @@ def _judged(
     tuning: Tuning,
     alignment: Similarity | None,
 ) -> CloudJudgement:
-    """The run's cloud by a reference cloud in its world."""
     assert made.cloud is not None and made.scratch is not None
     section = scene.section[scene.frame][model.placed]
     own, cameras = made.cloud, Cameras(model.centres(), tuple(f"{s}" if s >= 0 else "(none)" for s in section))
@@ -333,7 +330,6 @@ def _lag(match: PoseMatch, metric: bool, step_s: float) -> tuple[float, str]:
 
 
 def _left(est: np.ndarray, ref: np.ndarray, metric: bool) -> float:
-    """Root mean square distance after the best alignment."""
     return rms_length(umeyama(est, ref, with_scale=not metric)(est) - ref)
 
 

@@ -84,7 +84,7 @@ class ChangesTuning(Section):
 
 
 class PassesTuning(Section):
-    """The clouds of two passes of one run against each other (`clouds/passes.py`)."""
+    """The clouds of two passes of one run against each other (`clouds/judge.py`)."""
 
     maps: int = Field(40, gt=0)
     """Depth maps of either pass that the stage `cloud` compares, at most, which bounds its time; `compare --passes`

@@ -1,4 +1,5 @@
-"""The formats by name, and how each is written but for maps.
+"""The formats by name, how each is written but for maps, and which images can stay as they are because its cameras can
+say their lens.
 
 * COLMAP's folders, or written from its model: COLMAP, 3D Gaussian splatting, OpenMVS, Bundler.
 * nerfstudio's ``transforms.json``: cameras by frame, OpenGL's axes, masks, and depth along the optical axis.
@@ -8,8 +9,8 @@
 * Trajectories: TUM and KITTI, one a pass; of the rig (its first camera), or of the camera that is asked for.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,64 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.export import lens, maps
-from tiegraph.export.lens import FISHEYE
+from tiegraph.export import maps
 from tiegraph.export.survey import Exporter, Survey, unique_names, write_json, write_offset
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, world_from_geodetic
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.colmapmodel import matrix, model_centres, sim3d
+from tiegraph.scene.composed import same_lens
 from tiegraph.scene.namedposes import TRANSFORMS
 from tiegraph.scene.posefile import FREE_UNIT, write_tum
 from tiegraph.scene.results import DepthMap, row_strips
+
+Cameras = dict[int, pycolmap.Camera]
+FISHEYE = "OPENCV_FISHEYE"
+_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
+_RADIAL = {"SIMPLE_RADIAL": 1, "RADIAL": 2}  # radial terms, behind one focal length
+_OFF_PX = 0.05  # a principal point this far from the middle, or an edge by unequal focal lengths, shows in no image
+
+
+def opencv(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
+    """Cameras that OPENCV or OPENCV_FISHEYE can say, all in one of the two: a file of nerfstudio has one model. Where
+    both occur the fisheye lenses are left out."""
+    found = {key: own for key, camera in cameras.items() if (own := _opencv(camera)) is not None}
+    kinds = {camera.model_name for camera in found.values()}
+    return {k: c for k, c in found.items() if len(kinds) == 1 and len(found) == len(cameras) or c.model_name != FISHEYE}
+
+
+def _opencv(camera: pycolmap.Camera) -> pycolmap.Camera | None:
+    name, params = camera.model_name, [float(p) for p in camera.params]
+    if name in ("OPENCV", FISHEYE):
+        return camera
+    if name in _PINHOLES or name in _RADIAL:
+        wide = [camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y]
+        radial = params[-_RADIAL[name] :] if name in _RADIAL else []
+        return same_lens(camera, "OPENCV", [*wide, *radial, *[0.0] * (4 - len(radial))])
+    return None
+
+
+def pinholes(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
+    """Cameras without distortion, as PINHOLE."""
+    wide = ("focal_length_x", "focal_length_y", "principal_point_x", "principal_point_y")
+    return {
+        key: same_lens(camera, "PINHOLE", [getattr(camera, n) for n in wide])
+        for key, camera in cameras.items()
+        if camera.model_name in _PINHOLES
+    }
+
+
+def centred(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
+    """Those of them with square pixels and the principal point in the middle."""
+    return {key: camera for key, camera in pinholes(cameras).items() if _is_centred(camera)}
+
+
+def _is_centred(camera: pycolmap.Camera) -> bool:
+    size = np.array([camera.width, camera.height], float)
+    off = np.array([camera.principal_point_x, camera.principal_point_y]) - size / 2
+    uneven = abs(camera.focal_length_x / camera.focal_length_y - 1) * size[1] / 2
+    return bool(max(*np.abs(off), uneven) < _OFF_PX)
+
 
 _POINTS = "sparse_pc.ply"
 _OPENCV = ("k1", "k2", "p1", "p2")
@@ -37,17 +86,8 @@ _STEP_M = 100.0  # between places that tell how the axes of the CRS lie: the Ear
 _LOOSE = "photographs"  # that belong to no pass
 
 
-def sparse(survey: Survey, target: Path) -> int:
-    """``sparse/0``, binary and text; the number of images."""
-    return _model(survey, target, "sparse/0", ("binary", "text"))
-
-
-def openmvs(survey: Survey, target: Path) -> int:
-    """``sparse`` as text, which is what InterfaceCOLMAP reads; the number of images."""
-    return _model(survey, target, "sparse", ("text",))
-
-
-def _model(survey: Survey, target: Path, folder: str, forms: tuple[str, ...]) -> int:
+def colmap(survey: Survey, target: Path, folder: str, forms: tuple[str, ...]) -> int:
+    """COLMAP's model in a folder of ``target``, in the forms binary and text; the number of images."""
     (target / folder).mkdir(parents=True)
     for form in forms:
         getattr(survey.model, f"write_{form}")(str(target / folder))
@@ -208,38 +248,30 @@ def _shot(survey: Survey, image: pycolmap.Image) -> dict[str, Any]:
     return shot if np.isnan(time_s) else {**shot, "capture_time": float(time_s)}
 
 
-@dataclass(frozen=True)
-class _Path:
-    """Name of a file or folder, time_s (T,), world_from_body (T, 4, 4)."""
-
-    name: str
-    time_s: np.ndarray
-    poses: np.ndarray
-
-
 def tum(survey: Survey, target: Path) -> int:
     """``<pass>.tum``; the number of poses."""
     said = [] if survey.unit == "m" else [FREE_UNIT]
     paths = list(_paths(survey))
-    for path in paths:
-        write_tum(target / f"{path.name}.tum", path.time_s, path.poses, said)
+    for name, time_s, poses in paths:
+        write_tum(target / f"{name}.tum", time_s, poses, said)
     write_offset(survey, target)
-    return sum(len(path.poses) for path in paths)
+    return sum(len(poses) for _, _, poses in paths)
 
 
 def kitti(survey: Survey, target: Path) -> int:
     """``<pass>/poses.txt``, twelve numbers a pose, and ``<pass>/times.txt``; the number of poses."""
     paths = list(_paths(survey))
-    for path in paths:
-        (target / path.name).mkdir()
-        np.savetxt(target / path.name / "poses.txt", path.poses[:, :3].reshape(-1, 12), "%.12g")
-        np.savetxt(target / path.name / "times.txt", path.time_s, "%.6f")
+    for name, time_s, poses in paths:
+        (target / name).mkdir()
+        np.savetxt(target / name / "poses.txt", poses[:, :3].reshape(-1, 12), "%.12g")
+        np.savetxt(target / name / "times.txt", time_s, "%.6f")
     write_offset(survey, target)
-    return sum(len(path.poses) for path in paths)
+    return sum(len(poses) for _, _, poses in paths)
 
 
-def _paths(survey: Survey) -> Iterator[_Path]:
-    """The passes that have poses. Where the time of a frame is unknown, all of a pass count from 0.
+def _paths(survey: Survey) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Names, time_s (T,), world_from_body (T, 4, 4) of the passes that have poses. Where the time of a frame is
+    unknown, all of a pass count from 0.
 
     Raises InputError for a camera that no pose is of.
     """
@@ -261,28 +293,29 @@ def _paths(survey: Survey) -> Iterator[_Path]:
         if len(frames):
             times = scene.time_s[frames]
             times = times if np.isfinite(times).all() else np.arange(len(frames), dtype=float)
-            yield _Path(names[name], times, pose[frames])
+            yield names[name], times, pose[frames]
 
 
+_SPARSE = partial(colmap, folder="sparse/0", forms=("binary", "text"))
 EXPORTERS = {
     "nerfstudio": Exporter(
-        nerfstudio, "ns-train splatfacto --data {folder} nerfstudio-data --load-3D-points True", lens.opencv, depth=True
+        nerfstudio, "ns-train splatfacto --data {folder} nerfstudio-data --load-3D-points True", opencv, depth=True
     ),
     "colmap": Exporter(
-        sparse,
+        _SPARSE,
         "colmap gui --import_path {folder}/sparse/0 --image_path {folder}/images",
-        lens.pinholes,
+        pinholes,
         flat=False,
     ),
-    "gsplat": Exporter(sparse, "python simple_trainer.py default --data_dir {folder} --data_factor 1", lens.centred),
+    "gsplat": Exporter(_SPARSE, "python simple_trainer.py default --data_dir {folder} --data_factor 1", centred),
     "openmvs": Exporter(
-        openmvs,
+        partial(colmap, folder="sparse", forms=("text",)),  # which InterfaceCOLMAP reads
         "InterfaceCOLMAP -w {folder} -i {folder} -o scene.mvs",
-        lens.pinholes,
+        pinholes,
         mask="masks/{stem}.mask.png",
     ),
-    "bundler": Exporter(bundler, "meshlab: Import Bundler, {folder}/bundle.out", lens.centred),
-    "opensfm": Exporter(opensfm, "opensfm undistort {folder}", lens.opencv),
+    "bundler": Exporter(bundler, "meshlab: Import Bundler, {folder}/bundle.out", centred),
+    "opensfm": Exporter(opensfm, "opensfm undistort {folder}", opencv),
     "tum": Exporter(tum, "evo_traj tum {folder}/*.tum"),
     "kitti": Exporter(kitti, "evo_traj kitti {folder}/*/poses.txt"),
     "geojson": Exporter(maps.geojson, "QGIS: drag {folder}/*.geojson into the map"),

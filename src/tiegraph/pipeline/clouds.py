@@ -11,10 +11,9 @@ from typing import Any, Literal
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate.clouds.judge import Question, judge_cloud, told_of
+from tiegraph.evaluate.clouds.judge import Question, difference_map, judge_cloud, told_of
 from tiegraph.evaluate.clouds.m3c2 import Changes, Differences, Sigma, changes, cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras, meeting
-from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world

@@ -8,10 +8,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate.accuracy import accuracy_csv
-from tiegraph.evaluate.clouds.judge import CloudJudgement
+from tiegraph.evaluate.clouds.judge import CloudJudgement, PassAgreement, difference_map
 from tiegraph.evaluate.clouds.m3c2 import Differences
-from tiegraph.evaluate.clouds.passes import PassAgreement
-from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.geometry.align import Similarity

@@ -21,9 +21,8 @@ import numpy as np
 from tiegraph.cloud.fuse import FusionResult, Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.evaluate.clouds.judge import PassAgreement, by_section, difference_map, near_places
 from tiegraph.evaluate.clouds.nearest import Cameras
-from tiegraph.evaluate.clouds.passes import PassAgreement, by_section, near_places
-from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.clouds import Pair, differences_of, m3c2_of
 from tiegraph.pipeline.dense import depth_path, read_depth

@@ -18,16 +18,15 @@ from tiegraph.geometry import transforms
 from tiegraph.plan.accuracy import Shape
 from tiegraph.plan.figures import Effort, effort
 from tiegraph.plan.network import MountedCamera, model_figures
-from tiegraph.plan.planner import Plan, Rigged, make_plan
+from tiegraph.plan.planner import Plan, Rigged, Table, comparison, frames_apart, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
-from tiegraph.plan.tables import Table, comparison, frames_apart
 from tiegraph.plan.tuning import EffortTuning, ErrorTuning
 from tiegraph.project.run import Run
 from tiegraph.project.stages import save_json, write_atomic
 from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.report.cloudview import viewer_data, viewer_script
 from tiegraph.report.html import environment
-from tiegraph.report.maps import Track, frame_positions
+from tiegraph.report.maps import Scenery, Track, frame_positions
 from tiegraph.report.runfolder import read_run
 from tiegraph.report.summary import metric_values
 from tiegraph.scan.cameras import FileFacts, calibrate
@@ -191,7 +190,11 @@ def _page(made: Plan) -> str:
     path, points = made.path.path, made.path.network.model.points3D.values()
     xyz = np.array([p.xyz for p in points])
     tracks = [Track(name, path.centres[path.leg == k], np.zeros((0, 3))) for k, name in enumerate(path.legs)]
-    data = viewer_data(xyz, np.full(xyz.shape, 128), tracks, 20_000, "m")
+    seen = Scenery(
+        tracks=tracks, xyz=xyz, rgb=np.full(xyz.shape, 128), path=path.centres, unit="m", given=np.zeros((0, 3)),
+        views=np.zeros(len(xyz)), north=False,
+    )  # fmt: skip
+    data = viewer_data(seen, 20_000)
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))

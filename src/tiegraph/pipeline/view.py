@@ -39,8 +39,20 @@ from tiegraph.scene.copc import copc_box
 from tiegraph.scene.vectors import read_shapes
 from tiegraph.targets.marks import seen_in
 from tiegraph.text import finite
-from tiegraph.view.layers import View, cameras, mesh, strung, ties, tinted
-from tiegraph.view.places import Known, coordinates, distance_sigma, hidden, nearest, sigmas
+from tiegraph.view.layers import (
+    Known,
+    View,
+    cameras,
+    coordinates,
+    distance_sigma,
+    hidden,
+    mesh,
+    nearest,
+    sigmas,
+    strung,
+    ties,
+    tinted,
+)
 
 _SHEETS = (("ortho", "dsm", "orthophoto"), ("dsm", "dsm", "surface model"), ("dtm", "dtm", "terrain"))
 _MESH_PX, _PICTURE_PX = 256, 2048  # pixels along a raster at most, of its heights and of its colours

@@ -4,7 +4,7 @@
 depth by the number of rays, points per area, motion blur and the exposure that avoids it (Wenzel et al. 2012, paper
 004, equations 1 and 2; its table 1 is reproduced by the tests).
 
-**Paths** (``path``, ``network``, ``accuracy``, ``places``): closed forms know nothing of how errors add up
+**Paths** (``path``, ``network``, ``accuracy``): closed forms know nothing of how errors add up
 along a way, so a whole path is simulated: where the frames stand, which surface there is, which points of it are seen
 from where, with noisy observations, as a COLMAP model. It goes through the very covariance code of the stage `sparse`,
 which the glue hands in, with rig and lenses free where nobody calibrated them. What finished runs show is put in where

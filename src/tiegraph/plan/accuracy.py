@@ -1,5 +1,6 @@
-"""What a planned network is expected to know: positions and points, in shape and in the world, by place on the path;
-and what ties it to the world: positions of a receiver, with outages, and control points.
+"""What a planned network is expected to know of positions and points, in shape and in the world, place by place on the
+path. What ties it to the world: positions of a receiver, with outages, and control points. What is worst, and what
+would help.
 
 The covariance comes from a function that is handed in: that of the stage ``sparse``, run on the synthetic network. The
 world is universal kriging: the shape's covariance C is free of any similarity, the similarity is unknown, and fixes
@@ -7,19 +8,19 @@ world is universal kriging: the shape's covariance C is free of any similarity, 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.gravity import UpTuning
 from tiegraph.geometry.transforms import motions
-from tiegraph.plan.figures import above_zero
-from tiegraph.plan.network import MountedCamera, Network
+from tiegraph.plan.network import MountedCamera, Network, make_network
 from tiegraph.plan.path import Path
-from tiegraph.plan.tuning import WorldTuning
+from tiegraph.plan.request import WorldRequest
+from tiegraph.plan.tuning import Tuning, WorldTuning
+from tiegraph.text import finite
 
 
 @dataclass(frozen=True)
@@ -164,58 +165,29 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     return np.sqrt(positions), placed
 
 
-@dataclass(frozen=True)
-class Receiver:
-    """Positions: sigma in plan and height, metres, and the stretches (from, to), metres from the start, without any."""
-
-    sigma_m: float
-    height_sigma_m: float
-    outages_m: tuple[tuple[float, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        if not (self.sigma_m > 0 and self.height_sigma_m > 0):
-            raise InputError(f"--gnss {self.sigma_m:g},{self.height_sigma_m:g}: sigmas in metres, above zero")
-        for a, b in self.outages_m:
-            if not a < b:
-                raise InputError(f"--outage {a:g}-{b:g}: give FROM-TO, metres from the start of the way, FROM below TO")
-
-
-@dataclass(frozen=True)
-class ControlPoints:
-    """Control points on the surface, evenly along the path: how many, and their sigma, metres."""
-
-    count: int
-    sigma_m: float
-
-    def __post_init__(self) -> None:
-        if self.count < 0:
-            raise InputError(f"--control {self.count}: give how many control points there are")
-        above_zero("control-sigma", self.sigma_m, "metres")
-
-
 def known_of(
     path: Path,
     cameras: list[MountedCamera],
     network: Network,
     shape: Shape,
-    told: tuple[Receiver | None, ControlPoints],
+    world: WorldRequest,
     tuning: WorldTuning,
 ) -> Known:
     """The fixes of a path, by the frames that the shape is known of."""
-    receiver, control = told
+    positions = world.positions(tuning.height_factor)
     fixes: list[Fix] = []
     common = np.zeros(3)
-    if receiver is not None:
-        sigma = np.array([receiver.sigma_m, receiver.sigma_m, receiver.height_sigma_m])
+    if positions is not None:
+        sigma, outages = positions
         # from where the first leg starts, whichever way a leg goes: a bridge is on every pass
         at = (path.way_m if path.legs[0].startswith("ring") else path.centres[:, 0])[shape.frames]
-        out = np.any([(at >= a) & (at <= b) for a, b in receiver.outages_m] or [np.zeros(len(at), bool)], axis=0)
+        out = np.any([(at >= a) & (at <= b) for a, b in outages] or [np.zeros(len(at), bool)], axis=0)
         thinned = np.sqrt(len(shape.frames) / len(path))  # each stands for its neighbours, too
         fixes += [Fix(k, path.centres[shape.frames[k]], sigma * thinned) for k in np.flatnonzero(~out).tolist()]
-        if not control.count:
+        if not world.control:
             common = sigma
-    marked = np.linspace(0, len(shape.frames) - 1, control.count).round().astype(int).tolist()
-    fixes += [control_point(path, network, shape, k, control.sigma_m, tuning) for k in marked]
+    marked = np.linspace(0, len(shape.frames) - 1, world.control).round().astype(int).tolist()
+    fixes += [control_point(path, network, shape, k, world.control_sigma, tuning) for k in marked]
     axes = np.stack([c.sensor_from_body[2, :3] for c in cameras])
     level = axes[np.abs(axes[:, 1]) < 0.7]  # less than 45 degrees up or down: cameras all round tell the vertical
     all_round = len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < UpTuning().round
@@ -233,3 +205,154 @@ def control_point(path: Path, network: Network, shape: Shape, frame: int, sigma_
     best = min(well, key=lambda k: float(np.linalg.norm(network.model.point3D(k).xyz - here)))
     met = tuning.mark_px**2 * own_variance(network.model, np.array([best]))[0]
     return Fix(frame, network.model.point3D(best).xyz, np.sqrt(sigma_m**2 + met))
+
+
+_WORST = 3  # places of the largest sigmas that are named
+
+
+@dataclass(frozen=True)
+class Place:
+    """A section of a leg; sigmas are medians over its frames and the points near them, NaN = nothing tells."""
+
+    leg: str
+    from_m: float
+    to_m: float
+    frames: int
+    ties: int  # observations of tie points of a frame, median
+    shape_m: float
+    world_m: float
+    point_shape_m: float
+    point_world_m: float
+
+    def row(self) -> dict[str, str | float | None]:
+        """JSON-ready."""
+        return finite(self.__dict__)
+
+
+@dataclass(frozen=True)
+class PathPlan:
+    """A path with its synthetic network and what it is expected to give."""
+
+    path: Path
+    cameras: list[MountedCamera]
+    network: Network
+    known: Known
+    expected: Expected
+    places: tuple[Place, ...]
+    worst: tuple[str, ...]
+    advice: tuple[str, ...]
+    scale: float | None  # relative sigma of all lengths by the rig alone, None = the rig tells none
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Medians and largest values, JSON-ready; names as in the receipts of `sparse` and in world.json."""
+        e = self.expected
+        sigmas = {
+            "position_shape": e.shape, "position_world": e.world, "height_world": e.world_axes[:, 2],
+            "place_world": np.linalg.norm(e.world_axes[:, :2], axis=1), "point_shape": e.point_shape,
+            "point_world": e.point_world,
+        }  # fmt: skip
+        out: dict[str, float | int | None] = {
+            "frames": len(self.path), "images": len(self.path) * len(self.cameras),
+            "points": round(self.network.model.num_points3D() / self.network.share), "scale_sigma": self.scale,
+        }  # fmt: skip
+        out |= self.network.figures()
+        for name, values in sigmas.items():
+            if len(values):
+                out |= {f"{name}_sigma_median_m": np.median(values), f"{name}_sigma_max_m": np.max(values)}
+        return finite(out)  # type: ignore[no-any-return]
+
+
+def plan_path(
+    path: Path,
+    cameras: list[MountedCamera],
+    by: Propagate,
+    world: WorldRequest,
+    relief_m: float,
+    tuning: Tuning,
+) -> PathPlan:
+    """What a path is expected to give; ``relief_m``: sigma of the unevenness of the surface."""
+    network = make_network(path, cameras, world, relief_m, tuning.network)
+    shape = propagate(network, by, world.tie_px)
+    known = known_of(path, cameras, network, shape, world, tuning.world)
+    lenses = propagate(network, by, world.tie_px, calibrated=True)
+    found = expected(shape, network, path, known)
+    return PathPlan(
+        path=path, cameras=cameras, network=network, known=known, expected=found,
+        places=tuple(_places(path, network, found, tuning)), worst=tuple(_worst(path, found, known, tuning)),
+        advice=(*_lens_advice(shape, lenses, tuning), *_advice(path, network, shape, known, world, tuning)),
+        scale=shape.scale,
+    )  # fmt: skip
+
+
+def _places(path: Path, network: Network, e: Expected, tuning: Tuning) -> list[Place]:
+    out = []
+    for leg, name in enumerate(path.legs):
+        own = np.flatnonzero(path.leg == leg)
+        most = max(1, tuning.world.sections // len(path.legs))
+        for part in np.array_split(own, min(most, len(own))):
+            rows = np.flatnonzero(np.isin(e.frames, part))
+            near = np.flatnonzero(np.isin(e.near, rows))
+            out.append(Place(
+                leg=name, from_m=float(path.way_m[part[0]]), to_m=float(path.way_m[part[-1]]), frames=len(part),
+                ties=int(np.median(network.seen[part])), shape_m=_middle(e.shape[rows]), world_m=_middle(e.world[rows]),
+                point_shape_m=_middle(e.point_shape[near]), point_world_m=_middle(e.point_world[near]),
+            ))  # fmt: skip
+    return out
+
+
+def _worst(path: Path, e: Expected, known: Known, tuning: Tuning) -> list[str]:
+    """The places of the largest sigmas, each with what is special there; places beside one another are one."""
+    sigma, what = (e.world, "in the world") if known.placed else (e.shape, "in shape")
+    centres = path.centres[e.frames]
+    apart = np.linalg.norm(np.ptp(centres, axis=0)) / (2 * tuning.world.sections)
+    chosen: list[int] = []
+    for k in np.argsort(-sigma, kind="stable").tolist():
+        if len(chosen) < _WORST and all(np.linalg.norm(centres[k] - centres[c]) > apart for c in chosen):
+            chosen.append(k)
+    out = []
+    for k in chosen:
+        text = f"{path.place(int(e.frames[k]))}: {_metres(sigma[k])} {what}"
+        if known.placed:
+            far = min(float(np.linalg.norm(centres[f.frame] - centres[k])) for f in known.fixes)
+            text += f", {_metres(e.shape[k])} in shape" + (f", {far:.0f} m from the nearest fix" if far >= 1 else "")
+        out.append(text)
+    return out
+
+
+def _lens_advice(shape: Shape, calibrated: Shape, tuning: Tuning) -> list[str]:
+    now, then = (float(np.median(np.linalg.norm(s.point_sigma, axis=1))) for s in (shape, calibrated))
+    if then > (1 - tuning.world.gain) * now:
+        return []
+    return [
+        f"lenses calibrated beforehand (tiegraph calibrate, --rig) bring points from {_metres(now)} to {_metres(then)} "
+        "in shape (medians)"
+    ]
+
+
+def _advice(path: Path, network: Network, shape: Shape, known: Known, world: WorldRequest, tuning: Tuning) -> list[str]:
+    """What would help, worked out; nothing that was not."""
+    if not known.placed:
+        return ["nothing places the path in the world: with --gnss or --control its accuracy there is worked out, too"]
+    now = expected(shape, network, path, known)
+    row = int(np.argmax(now.world))
+    added = control_point(path, network, shape, row, world.control_sigma, tuning.world)
+    common = np.zeros(3) if world.control else known.common
+    then = expected(shape, network, path, replace(known, fixes=(*known.fixes, added), common=common))
+    before, after = float(now.world.max()), float(then.world.max())
+    if after > (1 - tuning.world.gain) * before:
+        return [
+            f"one more control point at {path.place(int(now.frames[row]))}, the worst place, would change little "
+            f"({_metres(before)} to {_metres(after)})"
+        ]
+    return [
+        f"a control point of {_metres(world.control_sigma)} at {path.place(int(now.frames[row]))} brings the worst "
+        f"position from {_metres(before)} to {_metres(after)}"
+    ]
+
+
+def _middle(values: np.ndarray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _metres(value: float) -> str:
+    return f"{value:.2g} m" if value >= 1 else f"{100 * value:.2g} cm" if value >= 0.01 else f"{1000 * value:.2g} mm"

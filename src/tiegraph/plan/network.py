@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.plan.figures import above_zero
 from tiegraph.plan.path import Facet, Path
+from tiegraph.plan.request import WorldRequest
 from tiegraph.plan.tuning import NetworkTuning
 from tiegraph.scene.colmapmodel import add_rig
 
@@ -23,19 +23,6 @@ class MountedCamera:
     name: str
     camera: pycolmap.Camera
     sensor_from_body: np.ndarray
-
-
-@dataclass(frozen=True)
-class Ties:
-    """Tie points: sigma of an image coordinate, px; observations of an image, None = by its pixels."""
-
-    sigma_px: float
-    an_image: float | None = None
-
-    def __post_init__(self) -> None:
-        above_zero("tie-px", self.sigma_px, "the sigma of a tie point in an image")
-        if self.an_image is not None and not self.an_image >= 1:
-            raise InputError(f"--ties {self.an_image:g}: give the tie points that an image sees, 1 or more")
 
 
 @dataclass(frozen=True)
@@ -68,7 +55,7 @@ class _Sights:
 
 
 def make_network(
-    path: Path, cameras: list[MountedCamera], ties: Ties, relief_m: float, tuning: NetworkTuning
+    path: Path, cameras: list[MountedCamera], world: WorldRequest, relief_m: float, tuning: NetworkTuning
 ) -> Network:
     """The network of a path over a surface of this unevenness (sigma).
 
@@ -96,11 +83,11 @@ def make_network(
         )
     megapixels = np.array([c.camera.width * c.camera.height / 1e6 for c in cameras] * len(path))
     wanted = np.minimum(tuning.ties_a_megapixel * megapixels, tuning.most_ties) * sights.shown
-    if ties.an_image is not None:
-        wanted = np.full(images, float(ties.an_image))
+    if world.ties is not None:
+        wanted = np.full(images, float(world.ties))
     made = np.bincount(sights.image, minlength=images)
     share = float(made.sum() / wanted.sum())
-    noise = ties.sigma_px * np.sqrt(share) * rng.standard_normal(sights.xy.shape)
+    noise = world.tie_px * np.sqrt(share) * rng.standard_normal(sights.xy.shape)
     model = _model(path, cameras, sights, sights.xy + noise)
     seen = np.round(made.reshape(len(path), -1).sum(axis=1) / share).astype(int)
     return Network(model, share, seen)

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from tiegraph.errors import InputError
 from tiegraph.plan.figures import Wanted, above_zero, check_overlap
-from tiegraph.plan.tuning import ErrorTuning
+from tiegraph.plan.tuning import ErrorTuning, WorldTuning
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,43 @@ class WorldRequest:
     """Where the path starts, LAT,LON or LAT,LON,HEIGHT: for waypoints on the Earth."""
     heading: float = 90.0
     """Direction of the first way there, degrees clockwise from north."""
+
+    def check(self, tuning: WorldTuning) -> None:
+        """Raise InputError for values that are none."""
+        self.positions(tuning.height_factor)
+        above_zero("tie-px", self.tie_px, "the sigma of a tie point in an image")
+        above_zero("control-sigma", self.control_sigma, "metres")
+        if self.ties is not None and not self.ties >= 1:
+            raise InputError(f"--ties {self.ties:g}: give the tie points that an image sees, 1 or more")
+        if self.control < 0:
+            raise InputError(f"--control {self.control}: give how many control points there are")
+
+    def positions(self, height_factor: float) -> tuple[np.ndarray, list[tuple[float, float]]] | None:
+        """Sigmas (3,) of a receiver's positions, metres, that of a height ``height_factor`` times that in plan if it is
+        not given; and the stretches (from, to), metres from the start, without any. None without a receiver.
+
+        Raises InputError for words that are no sigmas or stretches.
+        """
+        if self.gnss is None:
+            if self.outage:
+                raise InputError(f"--outage {self.outage[0]} without --gnss: there are no positions that could fail")
+            return None
+        sigma = [v for v in numbers("gnss", self.gnss) if v is not None]
+        if len(sigma) > 2:
+            raise InputError(f"--gnss {self.gnss}: give the sigma in plan, or in plan and height: 0.02,0.03")
+        plan, height = sigma[0], sigma[1] if len(sigma) > 1 else height_factor * sigma[0]
+        if not (plan > 0 and height > 0):
+            raise InputError(f"--gnss {plan:g},{height:g}: sigmas in metres, above zero")
+        stretches = []
+        for text in self.outage:
+            try:
+                begin, end = map(float, text.split("-")[:2])
+            except ValueError:
+                raise InputError(f"--outage {text}: give FROM-TO, metres from the start of the way: 25-33") from None
+            if not begin < end:
+                raise InputError(f"--outage {text}: give FROM-TO, metres from the start of the way, FROM below TO")
+            stretches.append((begin, end))
+        return np.array([plan, plan, height]), stretches
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,6 @@ def sentences(accuracy: Accuracy) -> list[str]:
 
 
 def _measured(accuracy: Accuracy, figures: list[Figure]) -> str:
-    """The measured values of a layer by the best evidence."""
     best, held = _best(figures), accuracy.figure("world.held_out")
     if best is not None:
         measured, predicted = (_value(accuracy, best, what) for what in (MEASURED, PREDICTED))

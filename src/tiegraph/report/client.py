@@ -1,18 +1,28 @@
-"""Page one, for the client: object, place, time, accuracy, tolerance, deliverables, and the
-three worst problems; on one sheet of paper, with a line to sign."""
+"""Page one, for the client: object, place, time, accuracy, tolerance, deliverables, and the three worst problems; on
+one sheet of paper, with a line to sign. And report.json, the same for programs, as ``report.schema.json`` describes it;
+English, figures in metres."""
 
+import json
+from dataclasses import asdict
 from datetime import datetime, timezone
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from markupsafe import escape
 
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world
-from tiegraph.report import accuracy, formatting, spatial, summary
+from tiegraph.report import accuracy, formatting, summary
+from tiegraph.report.cloudview import inliers
+from tiegraph.report.maps import Scenery, scenery, survey_map
+from tiegraph.report.parts import gsd, stage_rows
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.summary import Verdict
 from tiegraph.report.texts import capital, said, t
+from tiegraph.text import finite, printable
 
+FORMAT = 1
 _PROBLEMS = 3
 _FILES = {
     "cloud.copc.laz": "point cloud for viewers (COPC), colours, sigma of each point",
@@ -26,9 +36,7 @@ _FILES = {
 _EPOCH_S = 3e8  # larger times count from 1970, smaller ones from a start of their own
 
 
-def client_page(
-    run: RunFolder, settings: ReportSettings, seen: spatial.Scenery | None, verdict: Verdict
-) -> dict[str, Any]:
+def client_page(run: RunFolder, settings: ReportSettings, seen: Scenery | None, verdict: Verdict) -> dict[str, Any]:
     """The parts of the page, for the template."""
     about, known = settings.about, run.accuracy
     return {
@@ -37,7 +45,7 @@ def client_page(
         "what": summary.what_was_done(run),
         "where": where(run, seen),
         "when": when(run),
-        "map": spatial.survey_map(seen) if seen is not None else None,
+        "map": survey_map(seen) if seen is not None else None,
         "answer": accuracy.answer(known) if known is not None else None,
         "layers": accuracy.layers(known) if known is not None else [],
         "held_by": accuracy.holding(known) if known is not None else "",
@@ -63,7 +71,7 @@ def deliverables(run: RunFolder) -> list[tuple[str, str, int]]:
     return out
 
 
-def middle(run: RunFolder, seen: spatial.Scenery | None) -> tuple[float, float, float] | None:
+def middle(run: RunFolder, seen: Scenery | None) -> tuple[float, float, float] | None:
     """Latitude and longitude in degrees and height in metres of the middle of the images; None if not on the Earth."""
     origin = (run.world or {}).get("origin")
     if seen is None or not run.georeferenced or origin is None:
@@ -72,7 +80,7 @@ def middle(run: RunFolder, seen: spatial.Scenery | None) -> tuple[float, float, 
     return lat, lon, height
 
 
-def where(run: RunFolder, seen: spatial.Scenery | None) -> list[tuple[str, str]]:
+def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
     """(name, value): middle, system of coordinates, extent, length of the passes."""
     if seen is None:
         return []
@@ -119,3 +127,77 @@ def when(run: RunFolder) -> list[tuple[str, str]]:
         taken = t("not known: the images carry no times")
     finished = [str(r["finished"]) for s, r in run.receipts.items() if r.get("finished") and s != "report"]
     return [(t("images taken"), taken), *([(t("processed"), max(finished)[:10])] if finished else [])]
+
+
+# --- for programs ---------------------------------------------------------------------------------------------------
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema (draft 2020-12) of report.json."""
+    text = files("tiegraph.report").joinpath("report.schema.json").read_text(encoding="utf-8")
+    return json.loads(text)  # type: ignore[no-any-return]
+
+
+def json_text(run: RunFolder, settings: ReportSettings) -> str:
+    """The file as text."""
+    return json.dumps(finite(_plain(content(run, settings))), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def content(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
+    """The content of the file; texts may be Markup and figures NaN."""
+    verdict, metrics, world = summary.verdict(run), run.metrics or {}, run.world or {}
+    seen = scenery(run)
+    at, stages = middle(run, seen), stage_rows(run)
+    return {
+        "format": FORMAT,
+        "title": settings.title or run.path.resolve().name,
+        "made": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "about": settings.about.model_dump(),
+        "verdict": {"level": verdict.level, "headline": verdict.headline, "sentences": list(verdict.sentences)},
+        "contradictions": list(verdict.contradictions),
+        "warnings": list(verdict.warnings),
+        "worst_problems": worst(verdict),
+        "accuracy": metrics.get("accuracy"),
+        "metrics": [m for m in metrics.get("metrics") or [] if isinstance(m, dict)],
+        "where": {
+            "crs": world.get("crs"),
+            "unit": "m" if run.metric else "units",
+            "middle": None if at is None else dict(zip(("lat_deg", "lon_deg", "height_m"), at)),
+            "size": None if seen is None else _extent(seen.xyz[inliers(seen.xyz)]),
+        },
+        "when": dict(zip(("first", "last", "seconds"), times(run))),
+        "counts": _counts(run),
+        "deliverables": [dict(zip(("name", "what", "bytes"), row)) for row in deliverables(run)],
+        "stages": [dict(zip(("stage", "seconds", "cpu_s", "peak_mib"), row)) for row in stages],
+        "images": [asdict(row) for row in summary.image_rows(run)],
+    }
+
+
+def _counts(run: RunFolder) -> dict[str, Any]:
+    m, c, scene = run.model, run.cloud, run.scene
+    size = gsd(run)
+    return {
+        "images": None if scene is None else len(scene) + run.hanging[0],
+        "frames": None if scene is None else scene.frames,
+        "registered": None if m is None else int(m.registered.sum()),
+        "placed_by_rig": None if m is None else int(m.by_rig.sum()) + run.hanging[1],
+        "models": 0 if m is None else 1 + len(m.others),
+        "sparse_points": None if m is None else m.points,
+        "cloud_points": None if c is None else c.count,
+        "gsd": None if size is None else dict(zip(("tenth", "half", "nine_tenths"), size)),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Texts without marks and without paths of the maker's machine."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if hasattr(value, "__html__"):
+        value = str(escape(value).striptags())
+    return printable(formatting.without_folders(value)) if isinstance(value, str) else value
+
+
+def _extent(xyz: np.ndarray) -> list[float]:
+    return np.ptp(xyz, axis=0).tolist() if len(xyz) else [0.0, 0.0, 0.0]  # type: ignore[no-any-return]

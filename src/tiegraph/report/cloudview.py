@@ -1,40 +1,49 @@
 """Views of a point cloud. Static ones: a z-buffer in NumPy with eye-dome lighting (Boucheny 2009), top and two
-obliques.
-The interactive one: a thinned cloud, the cameras' paths and images, packed for viewer.js.
+obliques. The interactive one: a thinned cloud, the cameras' paths and images, packed for viewer.js.
 """
 
 import base64
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
+import laspy
 import numpy as np
+from scipy.spatial import cKDTree
 
-from tiegraph.report.maps import Track
+from tiegraph.report.drawing import jpeg, shown_colours, thumbnail
+from tiegraph.report.maps import Scenery
+from tiegraph.report.parts import section_name
+from tiegraph.report.runfolder import RunFolder, some_of
 from tiegraph.report.texts import t
 from tiegraph.text import round_below
 
+log = logging.getLogger(__name__)
+_MOST = 1_000_000  # points of a file that are read
+_NEAR = 3.0  # a point has the value of a measured one within this distance, in spacings of these
+_FILES = {  # of measured distances: their name in the view, and whether they have a sign
+    "evaluate/distances.laz": ("distance to the reference cloud", False),
+    "passes/differences.laz": ("one pass against the other", True),
+}
+VIEW_PX = 1400  # width of the static views
+_IMAGES, _PICTURES = 5000, 90  # that the interactive view names, and shows
 _EDL_STRENGTH = 2.0
 _EDL_DEAD_PX = 0.7  # noise of a surface that is not shaded
 _EDL_CLIP_PX = 8.0  # a deeper step is not darker
 _MAX_RADIUS_PX = 3
 
 
-@dataclass(frozen=True)
-class CloudView:
-    """A rendered view: rgb (H, W, 3) u1, its caption, and the scale of the drawing (orthographic)."""
-
-    name: str
-    rgb: np.ndarray
-    px_per_m: float
-
-
 def standard_views(
     xyz: np.ndarray, rgb: np.ndarray, path: np.ndarray, width: int, north_up: bool = True
-) -> list[CloudView]:
-    """Top view and two obliques from either side of the path (K, 3) of the cameras; up is +z, +y is north if stated.
+) -> list[tuple[str, np.ndarray, float]]:
+    """Top view and two obliques from either side of the path (K, 3) of the cameras; up is +z, +y is north if stated:
+    caption, picture (H, W, 3) u1, and the scale of the drawing (orthographic), pixels a unit.
 
     Points (N, 3), colours (N, 3) u1. Views are cropped to the middle 98 % of the points, so that a few strays do not
     shrink the rest.
@@ -47,7 +56,7 @@ def standard_views(
     asked = [("Top view, north up" if north_up else "Top view", 0.0, 90.0)]
     for k, side in enumerate((along + 60.0, along + 240.0)):
         asked.append((f"Oblique view from {compass(side)}" if north_up else f"Oblique view {k + 1}", side, 32.0))
-    return [CloudView(name, *render(xyz, rgb, side, elevation, width)) for name, side, elevation in asked]
+    return [(name, *render(xyz, rgb, side, elevation, width)) for name, side, elevation in asked]
 
 
 def inliers(xyz: np.ndarray, share: float = 0.99, margin: float = 0.15) -> np.ndarray:
@@ -70,20 +79,6 @@ def compass(angle_deg: float) -> str:
     """Name of the direction of a viewer at this angle from +x counter-clockwise."""
     names = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
     return "the " + names[round(angle_deg / 45) % 8]
-
-
-def shown_colours(xyz: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-    """Colours (N, 3) u1, stretched so that the brightest 2 % are white, at most 1.7 times; by height without any."""
-    if not len(rgb) or np.ptp(rgb) <= 8:
-        return by_height(xyz[:, 2])
-    return np.clip(rgb * min(1.7, 250 / max(float(np.quantile(rgb.max(axis=1), 0.98)), 1.0)), 0, 255).astype(np.uint8)
-
-
-def by_height(z: np.ndarray) -> np.ndarray:
-    """Colours (N, 3) u1 by height, for clouds without colour."""
-    low, high = np.quantile(z, [0.02, 0.98]) if len(z) else (0.0, 1.0)
-    level = (255 * np.clip((z - low) / max(high - low, 1e-9), 0, 1)).astype(np.uint8)
-    return cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_VIRIDIS).reshape(256, 3)[:, ::-1][level]
 
 
 def render(
@@ -155,11 +150,11 @@ def _shaded(picture: np.ndarray, buffer: np.ndarray) -> np.ndarray:
     return (picture * np.where(np.isfinite(buffer), light, 1)[..., None]).astype(np.uint8)
 
 
-def with_scale_bar(view: CloudView, unit: str) -> np.ndarray:
+def with_scale_bar(picture: np.ndarray, px_per_unit: float, unit: str) -> np.ndarray:
     """The picture with a scale bar at its lower left."""
-    picture = view.rgb.copy()
-    length = round_below(0.14 * picture.shape[1] / view.px_per_m)
-    x, y, size = 18, picture.shape[0] - 18, round(length * view.px_per_m)
+    picture = picture.copy()
+    length = round_below(0.14 * picture.shape[1] / px_per_unit)
+    x, y, size = 18, picture.shape[0] - 18, round(length * px_per_unit)
     unit = unit if unit.isascii() else "units"  # the font of the picture has no other letters
     label, font = f"{length:g} {unit.removesuffix('s') if length == 1 else unit}", cv2.FONT_HERSHEY_SIMPLEX
     (wide, tall), _ = cv2.getTextSize(label, font, 0.6, 2)
@@ -198,36 +193,29 @@ class Scale:
         return {**out, "values": _text(np.where(known, level, 255).astype(np.uint8))}
 
 
-@dataclass(frozen=True, eq=False)
-class ViewerExtras:
-    """Optional content of a view besides points and paths: scales of the points by name, offset of displayed
-    coordinates (3,), the names of the axes, images (name, place (3,), picture as data URI or ""), north."""
-
-    scales: dict[str, Scale] = field(default_factory=dict)
-    offset: Sequence[float] = (0.0, 0.0, 0.0)
-    axes: Sequence[str] = ("x", "y", "z")
-    images: Sequence[tuple[str, np.ndarray, str]] = ()
-    north: bool = False
-
-
 def viewer_data(
-    xyz: np.ndarray, rgb: np.ndarray, tracks: list[Track], most: int, unit: str, extras: ViewerExtras | None = None
+    seen: Scenery,
+    most: int,
+    scales: Mapping[str, Scale] = MappingProxyType({}),
+    images: Sequence[tuple[str, np.ndarray, str]] = (),
+    offset: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> dict[str, Any] | None:
     """JSON-ready data of the view; None without points. Points far outside the others are left out and counted.
 
-    A point takes nine bytes, three 16-bit coordinates within the box, three of colour, and one more for each scale.
+    ``scales`` of the points by name; ``images``: name, place (3,), picture as data URI or ""; ``offset`` (3,) of
+    displayed coordinates. A point takes nine bytes, three 16-bit coordinates within the box, three of colour, and one
+    more for each scale.
     """
-    extras = extras or ViewerExtras()
-    keep = np.flatnonzero(inliers(xyz, 0.998, 0.3))
+    keep = np.flatnonzero(inliers(seen.xyz, 0.998, 0.3))
     if not len(keep) or most < 1:
         return None
     if len(keep) > most:
         keep = np.sort(np.random.default_rng(0).choice(keep, most, replace=False))
-    points = xyz[keep]
+    points = seen.xyz[keep]
     low = points.min(axis=0)
     step = max(float((points - low).max()), 1e-9) / 65535
-    scales = {t("height"): Scale(points[:, 2] + extras.offset[2])}
-    scales |= {n: replace(s, values=s.values[keep]) for n, s in extras.scales.items()}
+    every = {t("height"): Scale(points[:, 2] + offset[2])}
+    every |= {n: replace(s, values=s.values[keep]) for n, s in scales.items()}
     middle = np.median(points, axis=0)  # centre of the first view, and its distance to most points
     reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.85))
     return {
@@ -235,18 +223,18 @@ def viewer_data(
         "low": low.tolist(),
         "step": step,
         "xyz": _text(np.round((points - low) / step).astype("<u2")),
-        "rgb": _text(np.ascontiguousarray(shown_colours(points, rgb[keep]), np.uint8)),
-        "scales": [s.packed(name, unit) for name, s in scales.items() if np.isfinite(s.values).any()],
+        "rgb": _text(np.ascontiguousarray(shown_colours(points, seen.rgb[keep]), np.uint8)),
+        "scales": [s.packed(name, seen.unit) for name, s in every.items() if np.isfinite(s.values).any()],
         "tracks": [
             {"name": track.name, "colour": PASSES[k % len(PASSES)], "line": track.name != "images",
              "xyz": np.round(track.seen, 4).ravel().tolist()}
-            for k, track in enumerate(tracks)
+            for k, track in enumerate(seen.tracks)
         ],
-        "images": [{"name": n, "at": np.round(at, 3).tolist(), "picture": p} for n, at, p in extras.images],
-        "offset": [float(v) for v in extras.offset],
-        "axes": list(extras.axes),
-        "north": extras.north,
-        "unit": unit,
+        "images": [{"name": n, "at": np.round(at, 3).tolist(), "picture": p} for n, at, p in images],
+        "offset": [float(v) for v in offset],
+        "axes": ["E", "N", "H"] if seen.north else ["x", "y", "z"],
+        "north": seen.north,
+        "unit": seen.unit,
         "text": {name: t(words) for name, words in _SAID.items()},
         "middle": middle.tolist(),
         "reach": max(reach, 1e-6),
@@ -270,3 +258,90 @@ def _text(array: np.ndarray) -> str:
 def viewer_script() -> str:
     """The viewer's JavaScript."""
     return files("tiegraph.report").joinpath("viewer.js").read_text(encoding="utf-8")
+
+
+# --- of a run ----------------------------------------------------------------------------------------------------
+
+
+def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
+    """(name, data URI) of the static views of the cloud."""
+    if run.cloud is None:
+        return []
+    drawn = standard_views(seen.xyz, seen.rgb, seen.path, VIEW_PX, seen.north)
+    return [(t(name), jpeg(with_scale_bar(rgb, scale, seen.unit))) for name, rgb, scale in drawn]
+
+
+def viewer_part(run: RunFolder, seen: Scenery, most: int) -> dict[str, Any]:
+    """Data and script of the interactive view."""
+    rows = np.sort(np.random.default_rng(0).permutation(len(seen.xyz))[:most])
+    some = replace(seen, xyz=seen.xyz[rows], rgb=seen.rgb[rows])
+    data = viewer_data(some, most, _scales(run, rows), _images(run, seen), run.shift.tolist())
+    if data is None:
+        return {"viewer": None, "viewer_script": ""}
+    return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": viewer_script()}
+
+
+def _images(run: RunFolder, seen: Scenery) -> list[tuple[str, np.ndarray, str]]:
+    """The images with their places, an even part of them with a small picture."""
+    assert run.scene is not None and run.model is not None
+    placed = np.flatnonzero(run.model.placed)[:_IMAGES]
+    pictured = set(placed[np.linspace(0, len(placed) - 1, min(len(placed), _PICTURES)).astype(int)].tolist())
+    out = []
+    for at, k in zip(seen.path, placed):
+        made = thumbnail(run.path / "images" / run.scene.names[k], Path(), width=200) if int(k) in pictured else None
+        out.append((run.scene.names[k], at, str(made[0]) if made else ""))
+    return out
+
+
+def _scales(run: RunFolder, rows: np.ndarray) -> dict[str, Scale]:
+    if run.cloud is None:
+        return {}
+    xyz = run.cloud.xyz[rows]
+    sigma = {t("sigma of a point"): Scale(run.cloud.sigma_m[rows])}
+    return {**sigma, **distance_scales(run, xyz), **section_scale(run, xyz)}
+
+
+def distance_scales(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
+    """Distances measured near points (N, 3) of the world, by name; those of existing files."""
+    out = {}
+    for name, (text, signed) in _FILES.items():
+        path = run.path / name
+        if path.exists() and len(xyz):
+            try:
+                at, values = _measured(path)
+            except Exception as error:  # laspy raises what it meets
+                log.warning("report: %s cannot be read and is left out: %s", path, error)
+                continue
+            if len(at) > 1:
+                out[t(text)] = Scale(_nearest(at - run.shift, values, xyz), signed=signed)
+    return out
+
+
+def _measured(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points (K, 3) of the CRS and their ``distance_m`` (K,), every n-th of a large file."""
+    parts = [(np.zeros((0, 3)), np.zeros(0))]
+    with laspy.open(path) as reader:
+        for part in some_of(reader, _MOST):
+            parts.append((np.column_stack([part.x, part.y, part.z]), np.asarray(part["distance_m"], float)))
+    xyz, values = (np.concatenate(column) for column in zip(*parts))
+    return xyz[np.isfinite(values)], values[np.isfinite(values)]
+
+
+def _nearest(at: np.ndarray, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    """(N,) the value of the nearest measured point, NaN where none is near."""
+    tree = cKDTree(at)
+    reach = _NEAR * float(np.median(tree.query(at[:: max(1, len(at) // 5000)], k=2)[0][:, 1]))
+    row = tree.query(xyz, distance_upper_bound=max(reach, 1e-9))[1]
+    return np.append(values, np.nan)[row]  # one beyond the last where there is none
+
+
+def section_scale(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
+    """The section that points (N, 3) lie in, that of the nearest camera; {} where there are not several."""
+    assert run.scene is not None and run.model is not None
+    placed = np.flatnonzero(run.model.placed)
+    numbers, of_camera = np.unique(run.scene.section[run.scene.frame[placed]], return_inverse=True)
+    if len(numbers) < 2 or not len(xyz):
+        return {}
+    names = tuple(section_name(run, int(k)) for k in numbers)
+    nearest = cKDTree(run.model.centres[placed]).query(xyz)[1]
+    return {t("section"): Scale(of_camera[nearest].astype(float), names=names)}

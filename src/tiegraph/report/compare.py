@@ -13,7 +13,7 @@ from rich.table import Table as RichTable
 
 from tiegraph.errors import InputError
 from tiegraph.report import formatting
-from tiegraph.report.charts import funnel_rows, is_loss
+from tiegraph.report.network import funnel_rows, is_loss
 from tiegraph.report.runfolder import STAGES, RunFolder, read_run
 from tiegraph.report.summary import metric_values
 from tiegraph.scene.atomic import replacing

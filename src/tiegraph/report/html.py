@@ -1,31 +1,37 @@
-"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer.
+"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer."""
 
-report.json: the report for programs, as ``report.schema.json`` describes it; English, figures in metres."""
-
-import json
 import re
-from dataclasses import asdict
 from datetime import datetime, timezone
-from importlib.resources import files
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
-from tiegraph.report import accuracy, formatting, spatial, summary, warnings
-from tiegraph.report.client import client_page, deliverables, middle, times, worst
-from tiegraph.report.parts import effort, evaluation, network_part, passes_part, rig_table
+from tiegraph.report import accuracy, formatting, maps, summary
+from tiegraph.report.client import client_page, json_text
+from tiegraph.report.cloudview import viewer_part, views
+from tiegraph.report.drawing import ALERT, CLASSES, Series, arrows, mask_share, pass_colour, plot, thumbnail
+from tiegraph.report.network import network_part
+from tiegraph.report.parts import (
+    cloud_facts,
+    effort,
+    evaluation,
+    evidence_table,
+    gsd,
+    passes_part,
+    product_views,
+    receipt_tables,
+    rig_table,
+)
 from tiegraph.report.runfolder import Model, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.svg import ALERT, Series, arrows, pass_colour, plot
-from tiegraph.report.tables import evidence_table, receipt_tables
 from tiegraph.report.texts import capital, current, language, said, t
-from tiegraph.report.thumbnails import CLASSES, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.scene import Scene
-from tiegraph.text import finite, printable
+from tiegraph.text import printable
 
 VIEW_POINTS = 4_000_000  # of the cloud, drawn in the static views
 _MASKS_READ = 25  # masks opened for a camera's mean share
@@ -68,7 +74,6 @@ _WORDS = {
     "F-score": "mean (harmonic) of accuracy and completeness at a distance",
     "CRS": "coordinate reference system: the reference of the coordinates",
 }
-FORMAT = 1
 
 
 def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
@@ -89,7 +94,7 @@ def write_report(folder: Path, settings: ReportSettings, planned: formatting.Tab
 def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table | None = None) -> str:
     """The page as text."""
     with language(settings.language):
-        seen = spatial.scenery(run)
+        seen = maps.scenery(run)
         verdict = summary.verdict(run)
         made = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
         context = {
@@ -116,6 +121,7 @@ def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table |
         return page.replace("<!--contents-->", "".join(links))
 
 
+@cache
 def environment() -> jinja2.Environment:
     """Templates of this package, everything escaped, also invisible characters (``text.printable``), and paths
     of the maker's machine reduced to their last name."""
@@ -150,7 +156,7 @@ def _how_sure(run: RunFolder) -> dict[str, Any]:
 
 
 def _scan(run: RunFolder) -> dict[str, Any]:
-    scene, dropped, facts = run.scene, warnings.dropped_images(run), []
+    scene, dropped, facts = run.scene, summary.dropped_images(run), []
     notes = list(dict.fromkeys([*(scene.notes if scene else ()), *run.notes("scan")]))
     if scene is not None:
         rigs = [t("{} ({} cameras)", r.name, len(r.sensors)) if len(r.sensors) > 1 else r.name for r in scene.rigs]
@@ -173,20 +179,19 @@ def _prior(scene: Scene) -> str:
 
 
 def _images(run: RunFolder) -> dict[str, Any]:
-    """Every image: those that are not used or give no depth map, then the others."""
-    rows = warnings.image_rows(run)
+    rows = summary.image_rows(run)
     shown = rows[:_IMAGES_SHOWN]
     odd, used = (_image_table(run, [r for r in shown if bool(r.reason) == wanted]) for wanted in (True, False))
-    counts = [(name, formatting.count(n)) for name, n in warnings.counts(rows)]
+    counts = [(name, formatting.count(n)) for name, n in summary.counts(rows)]
     return {"there": bool(rows), "counts": counts, "more": max(0, len(rows) - _IMAGES_SHOWN), "odd": odd, "used": used}
 
 
-def _image_table(run: RunFolder, rows: list[warnings.ImageRow]) -> formatting.Table | None:
+def _image_table(run: RunFolder, rows: list[summary.ImageRow]) -> formatting.Table | None:
     body = []
     for row in rows:
         size = formatting.length(row.gsd, "m" if run.metric else t("units"))
         numbers = (formatting.count(row.points), formatting.count(row.ties), size)
-        body.append((row.name, said(row.state), warnings.reason_text(row), *numbers))
+        body.append((row.name, said(row.state), summary.reason_text(row), *numbers))
     names = tuple(map(t, ("image", "state", "reason", "points seen", "verified pairs", "pixel on the surface")))
     return formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
 
@@ -255,14 +260,14 @@ def _model_facts(run: RunFolder, m: Model) -> list[tuple[str, str]]:
     explained = run.counts("sparse").get("matches_explained_percent")
     if explained is not None and formatting.is_number(explained):
         out.append((t("verified matches that the model explains"), formatting.percent(explained / 100)))
-    texts = [formatting.length(v, "m" if run.metric else t("units")) for v in spatial.gsd(run) or ()]
+    texts = [formatting.length(v, "m" if run.metric else t("units")) for v in gsd(run) or ()]
     name = t("a pixel on the surface (nearest tenth, half, nine in ten images)")
     return [*out, (name, t(", ").join(texts))] if texts else out
 
 
 def _lenses(model: Model) -> list[tuple[Markup, str]]:
     """(chart, caption) of each camera's residuals over its image; all enlarged alike."""
-    known = {k: lens for k, lens in model.observed.lenses.items() if len(lens.at)}
+    known = {k: lens for k, lens in model.lenses.items() if len(lens.at)}
     longest = {k: float(np.linalg.norm(lens.moved, axis=1).max()) for k, lens in known.items()}
     widest = max((lens.size[0] for lens in known.values()), default=0)
     factor = _ARROW_SHARE * widest / max([*longest.values(), 1e-9])
@@ -301,81 +306,13 @@ def _three(value: Any) -> bool:
     return isinstance(value, (list, tuple)) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
 
 
-def _space(run: RunFolder, seen: spatial.Scenery | None, settings: ReportSettings) -> dict[str, Any]:
-    """The maps, the static views and the interactive view."""
+def _space(run: RunFolder, seen: maps.Scenery | None, settings: ReportSettings) -> dict[str, Any]:
     out: dict[str, Any] = {"overlap": None, "ellipses": None, "views": [], "viewer": None, "viewer_script": ""}
-    out["cloud"] = spatial.cloud_facts(run)
+    out["cloud"] = cloud_facts(run)
     if seen is None:
         return out
-    out |= {"overlap": spatial.overlap_map(seen), "ellipses": spatial.ellipse_map(run, seen)}
+    out |= {"overlap": maps.overlap_map(seen), "ellipses": maps.ellipse_map(run, seen)}
     return out | {
-        "views": [*spatial.views(run, seen), *spatial.product_views(run)],
-        **spatial.viewer_part(run, seen, settings),
+        "views": [*views(run, seen), *product_views(run)],
+        **viewer_part(run, seen, settings.viewer_points),
     }
-
-
-def schema() -> dict[str, Any]:
-    """The JSON schema (draft 2020-12) of report.json."""
-    text = files("tiegraph.report").joinpath("report.schema.json").read_text(encoding="utf-8")
-    return json.loads(text)  # type: ignore[no-any-return]
-
-
-def json_text(run: RunFolder, settings: ReportSettings) -> str:
-    """The file as text."""
-    return json.dumps(finite(_plain(content(run, settings))), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def content(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    """The content of the file; texts may be Markup and figures NaN."""
-    verdict, metrics, world = summary.verdict(run), run.metrics or {}, run.world or {}
-    seen = spatial.scenery(run)
-    at, stages = middle(run, seen), summary.stage_rows(run)
-    return {
-        "format": FORMAT,
-        "title": settings.title or run.path.resolve().name,
-        "made": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "about": settings.about.model_dump(),
-        "verdict": {"level": verdict.level, "headline": verdict.headline, "sentences": list(verdict.sentences)},
-        "contradictions": list(verdict.contradictions),
-        "warnings": list(verdict.warnings),
-        "worst_problems": worst(verdict),
-        "accuracy": metrics.get("accuracy"),
-        "metrics": [m for m in metrics.get("metrics") or [] if isinstance(m, dict)],
-        "where": {
-            "crs": world.get("crs"),
-            "unit": "m" if run.metric else "units",
-            "middle": None if at is None else dict(zip(("lat_deg", "lon_deg", "height_m"), at)),
-            "size": None if seen is None else spatial.points_inside(seen).tolist(),
-        },
-        "when": dict(zip(("first", "last", "seconds"), times(run))),
-        "counts": _counts(run),
-        "deliverables": [dict(zip(("name", "what", "bytes"), row)) for row in deliverables(run)],
-        "stages": [dict(zip(("stage", "seconds", "cpu_s", "peak_mib"), row)) for row in stages],
-        "images": [asdict(row) for row in warnings.image_rows(run)],
-    }
-
-
-def _counts(run: RunFolder) -> dict[str, Any]:
-    m, c, scene = run.model, run.cloud, run.scene
-    gsd = spatial.gsd(run)
-    return {
-        "images": None if scene is None else len(scene) + run.hanging[0],
-        "frames": None if scene is None else scene.frames,
-        "registered": None if m is None else int(m.registered.sum()),
-        "placed_by_rig": None if m is None else int(m.by_rig.sum()) + run.hanging[1],
-        "models": 0 if m is None else 1 + len(m.others),
-        "sparse_points": None if m is None else m.points,
-        "cloud_points": None if c is None else c.count,
-        "gsd": None if gsd is None else dict(zip(("tenth", "half", "nine_tenths"), gsd)),
-    }
-
-
-def _plain(value: Any) -> Any:
-    """Texts without marks and without paths of the maker's machine."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "__html__"):
-        value = str(escape(value).striptags())
-    return printable(formatting.without_folders(value)) if isinstance(value, str) else value

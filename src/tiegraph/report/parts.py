@@ -1,102 +1,88 @@
-"""Parts of the engineer's page: the ties between images (pictures in the order of a reader's questions, one sentence
-each); references; the rig, its cameras as adjusted and along the run; time and memory, settings, versions.
+"""Parts of the engineer's page: tables of receipts, each number marked with its place in its receipt; references; the
+rig as adjusted; time and memory, settings, versions.
 """
 
 import re
-from dataclasses import replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from tiegraph.geometry import transforms
-from tiegraph.report import charts, formatting, summary
-from tiegraph.report.formatting import Table, marked
+from tiegraph.report import formatting
+from tiegraph.report.drawing import LIGHT, SOFT, USED, Series, bars, file_uri, plot
+from tiegraph.report.formatting import Table, is_number, marked
 from tiegraph.report.runfolder import STAGES, RunFolder
-from tiegraph.report.svg import LIGHT, SOFT, USED, Series, bars, plot
-from tiegraph.report.tables import with_section_names
 from tiegraph.report.texts import capital, said, t
-from tiegraph.report.thumbnails import file_uri
-from tiegraph.report.warnings import FEW_TIES
 from tiegraph.scene.colmapmodel import BY_RIG
+from tiegraph.scene.evidence import figures
 
-_NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
-_TITLES = {
-    "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
-    "match": "Matching", "filter": "View-graph filtering",
-}  # fmt: skip
-# Pictures of the network folder in order of display; the first word found in the file's name decides.
-_CAPTIONS = {
-    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
-    "was dropped.",
-    "map": "The tie graph on the map, by kind of tie, before the design: every pair that is expected to share surface.",
-    "design": "The ties that the design chose to match: thick bundles hold the survey together, a red line is a place "
-    "with only one link.",
-    "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
-    "rows of the table of places to revisit.",
-    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. The pair "
-    "range is centred on a clear peak; a flat curve means the two never see the same place.",
-    "section": "View of the upward camera along the path, and the bridge and open sections derived from it.",
-    "funnel": "How many pairs of images each filter of the network left.",
-}
-_WEAK_LINKS = "Weak links: places where the survey is disconnected, or weakly connected, if one tie or frame is lost."
-_SOUND = "No weak links: no place depends on a single tie or frame."
+EVIDENCE = "evidence"  # the table that has a section of its own
+_COLUMNS = 7  # of that table
+_HEAD, _HEADS = 70, 3  # letters and number of contradictions in the headline
 
 
-def network_part(run: RunFolder) -> dict[str, Any]:
-    """Pictures, funnel, tables and remarks of the stages from preview to view-graph filtering."""
-    out: dict[str, Any] = {"matrices": None, "funnel": None, "degrees": None, "table": None, "sound": None}
-    pairs = run.pairs if run.pairs is not None else run.network
-    if pairs is not None and run.scene is not None and len(pairs):
-        before = run.network if run.network is not None else pairs
-        out["matrices"] = [charts.looked_at(before, run.scene), charts.holding(pairs, run.scene)]
-        rows = charts.funnel_rows(pairs, run.network)
-        out["funnel"], out["table"] = charts.funnel(rows), _funnel_table(rows, len(run.scene))
-        out["degrees"] = charts.degrees(pairs, len(run.scene), FEW_TIES)
-    notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
-    sentences = [note if note.endswith((".", "!", "?")) else f"{note}." for note in map(capital, run.notes("coarse"))]
-    out |= {"model": sentences, "notes": list(notes.items()), "links": [], "tables": []}
-    out["pictures"] = _pictures(run, drawn=out["matrices"] is not None)
-    for stage in _NETWORK_STAGES:
-        for name, data in run.tables(stage).items():
-            plain = str(name).replace("_", " ")
-            table = formatting.table(data, f"{_title(stage)}: {said(plain)}", f"receipts.{stage}.{name}")
-            if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
-                out["sound"] = t(_SOUND)
-            elif table is not None and plain == "weak links":
-                out["links"].append(replace(table, title=t(_WEAK_LINKS)))
-            elif table is not None and plain != "funnel":  # that is drawn from the pair table
-                out["tables"].append(table)
-    return {**out, "there": any(out[name] for name in ("matrices", "pictures", "tables", "links", "notes"))}
+def receipt_tables(run: RunFolder, *stages: str) -> list[Table]:
+    """The tables of stages, except those shown elsewhere; the funnel is drawn from the pair table."""
+    found = (
+        formatting.table(data, capital(said(name.replace("_", " "))), f"receipts.{stage}.{name}")
+        for stage in stages
+        for name, data in run.tables(stage).items()
+        if name not in (EVIDENCE, "funnel")
+    )
+    return [table for table in found if table is not None]
 
 
-def _title(stage: str) -> str:
-    return t(_TITLES.get(stage, stage.capitalize()))
+def section_name(run: RunFolder, number: int) -> str:
+    """The name of a section in words, "bridge 1"; its number if the run does not name it."""
+    told = next((n for n in run.notes("network") if n.startswith("sections: ")), "")
+    names = re.findall(r"(\w+ \d+) \(\d+ frames?\)", told)
+    if 0 <= number < len(names):
+        return said(names[number]).replace(" ", "\N{NO-BREAK SPACE}")
+    return t("(none)") if number < 0 else str(number)
 
 
-def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
-    """(data URI, caption) of the pictures of the network stage and the design."""
-    found, order = [], list(_CAPTIONS)
-    for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
-        title = path.stem.replace("curve", "offset")
-        if path.parent.name == "design":
-            title = {"surface": "covered"}.get(path.stem, "design")
-        kind = next((k for k in order if k in title), "")
-        uri = None if drawn and kind in ("matrix", "funnel") else file_uri(path)  # these have charts
-        if uri:
-            caption = t(_CAPTIONS.get(kind, path.stem.replace("_", " ")))
-            found.append((order.index(kind) if kind else len(order), uri, caption))
-    return [(uri, caption) for _, uri, caption in sorted(found, key=lambda f: f[0])]
+def with_section_names(run: RunFolder, data: Any) -> Any:
+    """A table whose first column numbers sections, with their names; any other unchanged."""
+    if not isinstance(data, dict) or (data.get("columns") or [""])[0] != "section":
+        return data
+    rows = [[section_name(run, int(row[0])) if str(row[0]).isdigit() else row[0], *row[1:]] for row in data["rows"]]
+    return {**data, "rows": rows}
 
 
-def _funnel_table(rows: list[tuple[str, int, str]], images: int) -> formatting.Table | None:
-    every = images * (images - 1) / 2
-    body = [
-        [charts.step_name(name), value if charts.is_loss(name) else None, left, 100 * left / every if every else None]
-        for (name, value, _), left in zip(rows, charts.pairs_left(rows))
-    ]
-    return formatting.table({"columns": ["step", "dropped", "pairs left", "% of all possible"], "rows": body})
+def contradictions(run: RunFolder) -> tuple[str, ...]:
+    """The contradictions of every finished stage."""
+    every = (str(c) for stage in STAGES for c in run.receipts.get(stage, {}).get("contradictions") or [])
+    return tuple(dict.fromkeys(every))
+
+
+def about(found: tuple[str, ...]) -> str:
+    """Subjects of contradictions, for a headline: the words before their first colon that is not part of a camera's
+    name ("1: SONY DSC-H300") or figure; "" if none."""
+    firsts = (re.split(r"(?<!\d):| differ by", text)[0] for text in found)
+    heads = list(dict.fromkeys(said(shorten(first, _HEAD, placeholder=" ...")) for first in firsts))
+    return "; ".join(heads[:_HEADS]) + (t(" and {} more", len(heads) - _HEADS) if len(heads) > _HEADS else "")
+
+
+def evidence_table(run: RunFolder) -> Table | None:
+    """The statements of all stages, those of one quantity one below the other; None without any."""
+    rows, columns = [], None
+    for stage in STAGES:
+        data = run.tables(stage).get(EVIDENCE)
+        if not isinstance(data, dict) or len(data.get("columns") or []) != _COLUMNS:
+            continue
+        columns = data["columns"]
+        for k, row in enumerate(data.get("rows") or []):
+            key = f"receipts.{stage}.{EVIDENCE}.{k}"
+            value = formatting.marked(f"{key}.2", figures(row[2], row[3]))
+            sigma = formatting.marked(f"{key}.3", formatting.number(row[3], 2))
+            rest = [said(cell) if isinstance(cell, str) else cell for cell in row[4:]]
+            rows.append([said(str(row[0])), said(str(row[1])), value, sigma, *rest])
+    order = {q: k for k, q in enumerate(dict.fromkeys(r[0] for r in rows))}
+    rows.sort(key=lambda r: order[r[0]])
+    return formatting.table({"columns": columns, "rows": rows})
 
 
 # --- references -----------------------------------------------------------------------------------------------------
@@ -130,7 +116,7 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
     against = (tables.get(_AGAINST) or {}).get("rows")
     return {
         "there": bool(data),
-        "metrics": formatting.Table(columns, rows, (False, True, False)) if rows else None,
+        "metrics": Table(columns, rows, (False, True, False)) if rows else None,
         "tables": [table for table in named if table is not None],
         "notes": [str(n) for n in data.get("notes") or []],
         "shares": _shares(against) if against else None,
@@ -139,7 +125,6 @@ def evaluation(run: RunFolder) -> dict[str, Any]:
 
 
 def _shares(rows: list[list[float]]) -> Markup:
-    """A curve each of accuracy, completeness and F-score over the distance."""
     distance, *values = np.array(rows, float).T
     kinds = zip((t("accuracy"), t("completeness"), t("F-score")), (LIGHT, USED, "var(--dark)"), values)
     series = [Series(name=name, colour=colour, x=distance, y=np.nan_to_num(value)) for name, colour, value in kinds]
@@ -152,7 +137,7 @@ def _value(run: RunFolder, metric: dict) -> tuple[Markup, str]:
     value, key, unit = metric.get("value"), f"metrics.{metric['name']}", metric.get("unit") or ""
     if unit == "m" and str(metric["name"]).startswith(("backprojection", "passes")) and not run.metric:
         unit = t("units")
-    if unit == "m" and formatting.is_number(value):
+    if unit == "m" and is_number(value):
         return marked(key, formatting.length(value)), ""
     return marked(key, formatting.cell(value)), unit
 
@@ -221,7 +206,7 @@ def rig_table(run: RunFolder) -> Table | None:
 
 def effort(run: RunFolder) -> dict[str, Any]:
     """Charts and table of the stages, settings of each, versions."""
-    rows, body, times, memory = summary.stage_rows(run), [], [], []
+    rows, body, times, memory = stage_rows(run), [], [], []
     for stage, wall, cpu, peak in rows:
         whole = {k: v for k, v in run.counts(stage).items() if isinstance(v, int)}  # others are shown elsewhere
         text = t(", ").join(_counted(v, str(k).replace("_", " ")) for k, v in whole.items())
@@ -239,7 +224,7 @@ def effort(run: RunFolder) -> dict[str, Any]:
             settings.append((s, [(k, formatting.cell(_named(v))) for k, v in values.items()]))
     return {
         "charts": [bars(times, t("Wall time (CPU time)")), bars(memory, t("Peak memory"))] if rows else [],
-        "table": formatting.Table(columns, tuple(body), (False, True, True, True, False)) if rows else None,
+        "table": Table(columns, tuple(body), (False, True, True, True, False)) if rows else None,
         "settings": settings,
         "software": sorted(software.items()),
     }
@@ -264,3 +249,45 @@ def _flat(name: str, values: dict) -> dict[str, Any]:
     for key, value in values.items():
         out |= _flat(f"{name}.{key}", value) if isinstance(value, dict) else {f"{name}.{key}": value}
     return out
+
+
+def stage_rows(run: RunFolder) -> list[tuple[str, float, float, float]]:
+    """(stage, wall s, CPU s, peak MiB) of the stages that have finished."""
+    found = ((s, run.receipts.get(s, {})) for s in STAGES)
+    return [
+        (s, float(r["seconds"]), float(r.get("cpu_s") or 0), float(r.get("peak_mib") or 0))
+        for s, r in found
+        if is_number(r.get("seconds"))
+    ]
+
+
+def cloud_facts(run: RunFolder) -> dict[str, Any] | None:
+    """Facts about the cloud."""
+    c = run.cloud
+    if c is None:
+        return None
+    rows = [(t("file"), f"cloud.laz, {formatting.size(c.bytes)}"), (t("points"), formatting.count(c.count))]
+    if c.views.any():
+        rows.append((t("images that saw a point, median"), formatting.number(float(np.median(c.views)), 2)))
+    return {"facts": rows, "tables": receipt_tables(run, "dense", "cloud"), "notes": run.notes("dense", "cloud")}
+
+
+def gsd(run: RunFolder) -> tuple[float, float, float] | None:
+    """Size of a pixel on the surface, in units of the world: of the nearest tenth of the images, half, nine in ten."""
+    known = run.model.gsd[np.isfinite(run.model.gsd)] if run.model is not None else np.zeros(0)
+    if not len(known):
+        return None
+    low, middle, high = np.quantile(known, [0.1, 0.5, 0.9]).tolist()
+    return low, middle, high
+
+
+def product_views(run: RunFolder) -> list[tuple[str, str]]:
+    """(name, data URI) of the orthophoto, the surface model and the terrain of each surface."""
+    texts = {
+        "overview.jpg": "True orthophoto: {}",
+        "dsm.jpg": "Surface model: {}",
+        "dtm.jpg": "Terrain and contour lines: {}",
+    }
+    folders = sorted(p for p in (run.path / "products").glob("*") if p.is_dir())
+    found = [(t(text, p.name), file_uri(p / name)) for p in folders for name, text in texts.items()]
+    return [(text, uri) for text, uri in found if uri is not None]

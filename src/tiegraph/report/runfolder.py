@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,11 +19,13 @@ from pydantic import ValidationError
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import Registration, is_model, matrix, registration
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.cloudfile import las_cloud
+from tiegraph.scene.colmapmodel import Registration, image_poses, is_model, matrix, registered_images, registration
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
 from tiegraph.scene.composed import carries
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.results import Accuracy
+from tiegraph.scene.results import Accuracy, Cloud
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
@@ -40,6 +42,19 @@ STAGES = (
 _ASKED = 60  # observations of an image
 _CELLS = 12  # across the longer side of an image
 _FEW = 5  # a cell with fewer residuals is ignored
+
+
+@dataclass(frozen=True, eq=False)
+class LensResiduals:
+    """Mean residuals of a camera in the cells of its image, px: middles (K, 2), observed minus computed (K, 2)."""
+
+    size: tuple[int, int]
+    at: np.ndarray
+    moved: np.ndarray
+    observations: int
+
+
+_Seen = tuple[tuple[int, int], list[tuple[np.ndarray, np.ndarray]]]  # of a camera: size, places and residuals of images
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +100,44 @@ class Model:
         return float(self.reconstruction.compute_mean_reprojection_error())
 
     @cached_property
-    def observed(self) -> Observed:
-        """The observations of the images."""
-        return observed(self.reconstruction, self.scene)
+    def gsd(self) -> np.ndarray:
+        """(N,) ground sampling distance of the images, in units of the model, at the median distance along the line of
+        sight of the points that each sees; NaN where it sees none."""
+        return self._observed[0]
+
+    @cached_property
+    def lenses(self) -> dict[int, LensResiduals]:
+        """By sensor key the residuals of the lens."""
+        return {key: _cells(size, found) for key, (size, found) in sorted(self._observed[1].items())}
+
+    @cached_property
+    def _observed(self) -> tuple[np.ndarray, dict[int, _Seen]]:
+        gsd, out = np.full(len(self.scene), np.nan), dict[int, _Seen]()
+        for k, image in registered_images(self.reconstruction, self.scene):
+            rows = image.get_observation_point2D_idxs()
+            asked = [image.point2D(rows[r]) for r in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
+            if not asked:
+                continue
+            pose, camera = image.cam_from_world().matrix(), self.reconstruction.cameras[image.camera_id]
+            points = np.array([self.reconstruction.points3D[p.point3D_id].xyz for p in asked])
+            local = points @ pose[:, :3].T + pose[:, 3]
+            ahead = local[:, 2] > 0
+            if ahead.any():
+                gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
+                xy = np.array([p.xy for p in asked])[ahead]
+                off = xy - np.asarray(camera.img_from_cam(local[ahead]), float)
+                size = camera.width, camera.height
+                out.setdefault(int(self.scene.sensor_key[k]), (size, []))[1].append((xy, off))
+        return gsd, out
 
     @cached_property
     def sensors(self) -> dict[int, tuple[Any, np.ndarray | None]]:
         """By sensor key of the scene: the camera, and sensor_from_rig (4, 4) (None: there is no rig of several)."""
         out = {}
-        for image in self.reconstruction.images.values():
-            k = self.scene.image_index.get(image.name)
-            if k is not None and image.has_pose and int(self.scene.sensor_key[k]) not in out:
-                rig, sensor, pose = self.reconstruction.rigs[image.frame.rig_id], image.data_id.sensor_id, None
+        for k, image in registered_images(self.reconstruction, self.scene):
+            if int(self.scene.sensor_key[k]) not in out:
+                frame, sensor, pose = self.reconstruction.frame(image.frame_id), image.data_id.sensor_id, None
+                rig = self.reconstruction.rig(frame.rig_id)
                 if rig.num_sensors() > 1 and (rig.is_ref_sensor(sensor) or rig.has_sensor_from_rig(sensor)):
                     pose = np.eye(4) if rig.is_ref_sensor(sensor) else matrix(rig.sensor_from_rig(sensor))
                 out[int(self.scene.sensor_key[k])] = self.reconstruction.cameras[image.camera_id], pose
@@ -115,7 +156,6 @@ class Model:
 class CloudSample:
     """A sample of a point cloud file and values of the whole."""
 
-    name: str
     count: int
     bytes: int
     xyz: np.ndarray  # (K, 3), world
@@ -201,7 +241,8 @@ class RunFolder:
 
 
 def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
-    """All data of a report. Raises InputError if the folder contains no run."""
+    """All data of a report, of the cloud ``cloud_points`` at most (0: no cloud). Raises InputError if the folder has no
+    run in it."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such run folder; give a folder made by `tiegraph run`")
     receipts = {s: r for s in STAGES if (r := _json(folder / "receipts" / f"{s}.json"))}
@@ -213,7 +254,8 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
     if world:
         world = {"scale_from": world.get("scale_source"), **world}
         world["shift_m"] = world.get("shift_m") or (world.get("origin") or {}).get("shift_m")
-    run = RunFolder(
+    origin = None if not world or not world.get("origin") else Origin.from_dict(world["origin"])
+    return RunFolder(
         path=folder,
         receipts=receipts,
         scene=scene,
@@ -223,9 +265,8 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
         world=world or None,
         metrics=_json(folder / "metrics.json") or None,
         model=None if scene is None else read_model(folder, scene, _registered_by(receipts)),
+        cloud=_try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points, origin)),
     )
-    cloud = _try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points))
-    return replace(run, cloud=None if cloud is None else _in_world(cloud, run))
 
 
 def _scene(path: Path) -> Scene:
@@ -277,16 +318,11 @@ def read_model(folder: Path, scene: Scene, tuning: RegisteredTuning) -> Model | 
     if world is None and not parts:
         return None
     path, chosen = (folder / "sparse" / "world", world) if world is not None else parts[0]
-    poses = np.full((len(scene), 4, 4), np.nan)
-    for image in chosen.images.values():
-        k = scene.image_index.get(image.name)
-        if k is not None and image.has_pose:
-            poses[k] = transforms.invert(matrix(image.cam_from_world()))
     return Model(
         folder=path.relative_to(folder).as_posix(),
         reconstruction=chosen,
         scene=scene,
-        world_from_camera=poses,
+        world_from_camera=transforms.invert(image_poses(chosen, scene)),
         images=registration(chosen, scene, tuning),
         others=tuple(int(registration(r, scene, tuning).registered.sum()) for _, r in parts[1:]),
     )
@@ -299,78 +335,17 @@ def some_of(reader: Any, most: int) -> Iterator[Any]:
         yield chunk[::step]
 
 
-def read_cloud_sample(path: Path, most: int) -> CloudSample:
-    """Every n-th point of a LAS or LAZ file, at most ``most``, in the file's coordinates."""
-    parts = [(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0), np.zeros(0))]
+def read_cloud_sample(path: Path, most: int, origin: Origin | None) -> CloudSample | None:
+    """Every n-th point of a LAS or LAZ file, at most ``most``, in the world of an origin; None if none is asked for."""
+    if most < 1:
+        return None
     with laspy.open(path) as reader:
+        parts = [Cloud.empty(), *(las_cloud(part, reader.header, origin) for part in some_of(reader, most))]
         count = reader.header.point_count
-        names = list(reader.header.point_format.dimension_names)
-        sigma = next((n for n in names if "sigma" in n.lower()), None)
-        views = next((n for n in names if "view" in n.lower() and "angle" not in n.lower()), None)
-        for part in some_of(reader, most):
-            xyz = np.column_stack([part.x, part.y, part.z])
-            rgb = _colours(part) if "red" in names else np.full(xyz.shape, 160, np.uint8)
-            deviation = np.asarray(part[sigma], float) if sigma else np.full(len(xyz), np.nan)
-            parts.append((xyz, rgb, deviation, np.asarray(part[views], float) if views else np.zeros(len(xyz))))
-    xyz, rgb, deviation, seen = (np.concatenate(column) for column in zip(*parts))
-    size = path.stat().st_size
-    return CloudSample(name=path.name, count=count, bytes=size, xyz=xyz, rgb=rgb, sigma_m=deviation, views=seen)
-
-
-def _in_world(cloud: CloudSample, run: RunFolder) -> CloudSample:
-    """The cloud with the recorded shift subtracted if it was written in full CRS coordinates."""
-    if not len(cloud.xyz) or not run.shift.any():
-        return cloud
-    middle, model = np.median(cloud.xyz, axis=0), run.model
-    near = np.nanmedian(model.centres, axis=0) if model is not None and model.placed.any() else np.zeros(3)
-    if np.linalg.norm(middle - run.shift - near) < np.linalg.norm(middle - near):
-        return replace(cloud, xyz=cloud.xyz - run.shift)
-    return cloud
-
-
-def _colours(points: Any) -> np.ndarray:
-    rgb = np.column_stack([points.red, points.green, points.blue])
-    return (rgb >> 8 if rgb.size and rgb.max() > 255 else rgb).astype(np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class LensResiduals:
-    """Mean residuals of a camera in the cells of its image, px: middles (K, 2), observed minus computed (K, 2)."""
-
-    size: tuple[int, int]
-    at: np.ndarray
-    moved: np.ndarray
-    observations: int
-
-
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """Of each image of a scene (N,), NaN where it sees no point: the size of a pixel (ground sampling distance) at the
-    median distance, along the line of sight, of the points that it sees, in units of the model; by sensor key the
-    residuals of the lens."""
-
-    gsd: np.ndarray
-    lenses: dict[int, LensResiduals]
-
-
-def observed(model: Any, scene: Scene) -> Observed:
-    """Of a ``pycolmap.Reconstruction``; images go by name."""
-    gsd = np.full(len(scene), np.nan)
-    seen: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
-    sizes: dict[int, tuple[int, int]] = {}
-    for image in model.images.values():
-        k = scene.image_index.get(image.name)
-        rows = image.get_observation_point2D_idxs() if k is not None and image.has_pose else []
-        asked = [image.point2D(rows[r]) for r in np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(int)]
-        pose, camera = image.cam_from_world().matrix() if asked else np.eye(4)[:3], model.cameras[image.camera_id]
-        local = np.array([model.points3D[p.point3D_id].xyz for p in asked]).reshape(-1, 3) @ pose[:, :3].T + pose[:, 3]
-        ahead = local[:, 2] > 0
-        if ahead.any():
-            gsd[k] = np.median(local[ahead, 2]) / camera.mean_focal_length()
-            xy, key = np.array([p.xy for p in asked])[ahead], int(scene.sensor_key[k])
-            sizes[key] = (camera.width, camera.height)
-            seen.setdefault(key, []).append((xy, xy - np.asarray(camera.img_from_cam(local[ahead]), float)))
-    return Observed(gsd, {key: _cells(sizes[key], found) for key, found in sorted(seen.items())})
+    xyz, rgb, sigma, views = (
+        np.concatenate([getattr(part, column) for part in parts]) for column in ("xyz_m", "rgb", "sigma_m", "views")
+    )
+    return CloudSample(count, path.stat().st_size, xyz=xyz, rgb=rgb, sigma_m=sigma.astype(float), views=views)
 
 
 def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) -> LensResiduals:

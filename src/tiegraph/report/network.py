@@ -1,0 +1,210 @@
+"""The ties between images: matrices of tested and of verified pairs, the funnel, the ties of an image; pictures, tables
+and remarks of the stages, in the order of a reader's questions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tiegraph.report import formatting
+from tiegraph.report.drawing import LIGHT, USED, bars, file_uri, histogram, matrix, png, rgb_of
+from tiegraph.report.runfolder import RunFolder
+from tiegraph.report.texts import capital, said, t
+from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
+from tiegraph.scene.scene import Scene
+
+_MATRIX_PX = 700
+_MATCHES = ((1, "#c7e0ea"), (30, "#7fb8d0"), (100, "#2b7a9b"), (300, "#0a3d55"))  # verified matches from, colour
+_NAMED_BLOCKS = 16
+FEW_TIES = 3  # an image with fewer ties is weakly connected
+
+
+def looked_at(pairs: Pairs, scene: Scene) -> Markup:
+    """Every tested pair, by image and image, in the colour of the reason why it was dropped."""
+    looks = [REASON_LOOKS[reason] for reason in REASONS]
+    key = [(said(looks[k][0]), looks[k][1]) for k in np.unique(pairs.dropped)]
+    label = t("Tested: {} pairs", formatting.count(len(pairs)))
+    return _matrix(pairs, -pairs.dropped.astype(int), scene, [colour for _, colour in looks], key, label)
+
+
+def holding(pairs: Pairs, scene: Scene) -> Markup:
+    """The pairs that hold, by their verified matches; before the matching, those to be matched."""
+    kept, colours = tied(pairs), [colour for _, colour in _MATCHES]
+    if not is_matched(pairs):
+        label = t("To be matched: {} pairs", formatting.count(len(kept)))
+        return _matrix(kept, np.full(len(kept), len(_MATCHES) - 1), scene, colours, [], label)
+    step = np.searchsorted([low for low, _ in _MATCHES], kept.inliers, side="right") - 1
+    key = [(t("from {} matches", low), colour) for low, colour in _MATCHES]
+    return _matrix(kept, step, scene, colours, key, t("Verified: {} pairs", formatting.count(len(kept))))
+
+
+def is_matched(pairs: Pairs) -> bool:
+    """Whether the pairs were matched at full resolution."""
+    return bool(np.any(pairs.inliers >= 0))
+
+
+def tied(pairs: Pairs) -> Pairs:
+    """The verified pairs; before the matching, those to be matched."""
+    kept = pairs.kept()
+    return kept.where(kept.inliers > 0) if is_matched(pairs) else kept
+
+
+def _matrix(
+    pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str], key: Sequence[tuple[str, str]], label: str
+) -> Markup:
+    """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k; of those on one pixel the
+    highest rank is visible."""
+    n = max(len(scene), 1)
+    order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
+    labels = scene.image_label()
+    names = [" ".join(labels[k]).strip() for k in order]
+    starts = [k for k in range(len(names)) if k == 0 or names[k] != names[k - 1]]
+    blocks = [((a + b) / 2 / n, names[a]) for a, b in zip(starts, [*starts[1:], len(names)])]
+    size, rising = min(len(scene), _MATRIX_PX), np.argsort(rank, kind="stable")
+    place = np.argsort(order)
+    row, column = (place[ends[rising]] * size // n for ends in (pairs.i, pairs.j))
+    rgba = np.zeros((size, size, 4), np.uint8)
+    rgba[row, column] = rgba[column, row] = np.array([[*rgb_of(c), 255] for c in colours])[np.abs(rank[rising])]
+    named = blocks[:: -(-len(blocks) // _NAMED_BLOCKS) or 1]
+    return matrix(png(rgba), named, [k / n for k in starts[1:]], key, label)
+
+
+def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str]]:
+    """(what, pairs, colour) from all candidates to the verified ones, in the order of the filters."""
+    funnel = pairs.funnel()
+    before = len(network) - len(pairs) if network is not None else 0
+    rows = [("candidates", max(before, 0) + len(pairs), "#8b949e")]
+    rows += [("dropped: in the network", before, "#c9ced6")] if before > 0 else []
+    lost = {k: (f"dropped: {REASON_LOOKS[k][0]}", v, REASON_LOOKS[k][1]) for k, v in funnel.items() if k in REASONS}
+    rows += [row for reason, row in lost.items() if reason not in AFTER_MATCHING]
+    if not is_matched(pairs):
+        return [*rows, ("pairs to match", funnel["used"], USED)]
+    after = [row for reason, row in lost.items() if reason in AFTER_MATCHING]
+    rows.append(("matched at full resolution", funnel["used"] + sum(n for _, n, _ in after), USED))
+    return [*rows, *after, ("verified", len(tied(pairs)), "#0b4f6c")]
+
+
+def is_loss(name: str) -> bool:
+    """Whether a row of the funnel counts dropped pairs, not remaining ones."""
+    return name.startswith("dropped")
+
+
+def pairs_left(rows: Sequence[tuple[str, int, str]]) -> list[int]:
+    """Pairs left after each row of the funnel (paper 002, table 1)."""
+    out: list[int] = []
+    for name, value, _ in rows:
+        out.append(out[-1] - value if is_loss(name) and out else value)
+    return out
+
+
+def funnel(rows: Sequence[tuple[str, int, str]]) -> Markup:
+    """The remaining pairs after every filter, with the dropped ones in their colour of the matrix."""
+    drawn: list[tuple[str, Sequence[tuple[float, str]], str]] = []
+    for (name, value, colour), left in zip(rows, pairs_left(rows)):
+        parts, end = [(left, colour)], formatting.count(left)
+        if is_loss(name):
+            parts = [(left, LIGHT), (value, colour)]
+            end = f"\N{MINUS SIGN}{formatting.count(value)} \N{RIGHTWARDS ARROW} {end}"
+        drawn.append((step_name(name), parts, end))
+    return bars(drawn, t("From candidates to ties"))
+
+
+def step_name(name: str) -> str:
+    """A row of the funnel in the language of the page."""
+    head, _, reason = name.partition(": ")
+    return f"{t('dropped')}: {said(reason)}" if reason else said(head)
+
+
+def degrees(pairs: Pairs, images: int) -> Markup:
+    """Histogram of how many verified (or else planned) pairs an image has."""
+    label = t("ties of an image (red: fewer than {})", FEW_TIES)
+    return histogram(ties(pairs, images), FEW_TIES, label, t("images"))
+
+
+def ties(pairs: Pairs, images: int) -> np.ndarray:
+    """(N,) verified, or else planned, pairs of each image."""
+    return tied(pairs).degree(images)
+
+
+# --- the part of the page ------------------------------------------------------------------------------------------
+
+
+_NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
+_TITLES = {
+    "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
+    "match": "Matching", "filter": "View-graph filtering",
+}  # fmt: skip
+# Pictures of the network folder in order of display; the first word found in the file's name decides.
+_CAPTIONS = {
+    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
+    "was dropped.",
+    "map": "The tie graph on the map, by kind of tie, before the design: every pair that is expected to share surface.",
+    "design": "The ties that the design chose to match: thick bundles hold the survey together, a red line is a place "
+    "with only one link.",
+    "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
+    "rows of the table of places to revisit.",
+    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. The pair "
+    "range is centred on a clear peak; a flat curve means the two never see the same place.",
+    "section": "View of the upward camera along the path, and the bridge and open sections derived from it.",
+    "funnel": "How many pairs of images each filter of the network left.",
+}
+_WEAK_LINKS = "Weak links: places where the survey is disconnected, or weakly connected, if one tie or frame is lost."
+_SOUND = "No weak links: no place depends on a single tie or frame."
+
+
+def network_part(run: RunFolder) -> dict[str, Any]:
+    """Pictures, funnel, tables and remarks of the stages from preview to view-graph filtering."""
+    out: dict[str, Any] = {"matrices": None, "funnel": None, "degrees": None, "table": None, "sound": None}
+    pairs = run.pairs if run.pairs is not None else run.network
+    if pairs is not None and run.scene is not None and len(pairs):
+        before = run.network if run.network is not None else pairs
+        out["matrices"] = [looked_at(before, run.scene), holding(pairs, run.scene)]
+        rows = funnel_rows(pairs, run.network)
+        out["funnel"], out["table"] = funnel(rows), _funnel_table(rows, len(run.scene))
+        out["degrees"] = degrees(pairs, len(run.scene))
+    notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
+    sentences = [note if note.endswith((".", "!", "?")) else f"{note}." for note in map(capital, run.notes("coarse"))]
+    out |= {"model": sentences, "notes": list(notes.items()), "links": [], "tables": []}
+    out["pictures"] = _pictures(run, drawn=out["matrices"] is not None)
+    for stage in _NETWORK_STAGES:
+        for name, data in run.tables(stage).items():
+            plain = str(name).replace("_", " ")
+            table = formatting.table(data, f"{_title(stage)}: {said(plain)}", f"receipts.{stage}.{name}")
+            if plain == "weak links" and isinstance(data, dict) and not data.get("rows"):
+                out["sound"] = t(_SOUND)
+            elif table is not None and plain == "weak links":
+                out["links"].append(replace(table, title=t(_WEAK_LINKS)))
+            elif table is not None and plain != "funnel":  # that is drawn from the pair table
+                out["tables"].append(table)
+    return {**out, "there": any(out[name] for name in ("matrices", "pictures", "tables", "links", "notes"))}
+
+
+def _title(stage: str) -> str:
+    return t(_TITLES.get(stage, stage.capitalize()))
+
+
+def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
+    """(data URI, caption) of the pictures of the network stage and the design."""
+    found, order = [], list(_CAPTIONS)
+    for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
+        title = path.stem.replace("curve", "offset")
+        if path.parent.name == "design":
+            title = {"surface": "covered"}.get(path.stem, "design")
+        kind = next((k for k in order if k in title), "")
+        uri = None if drawn and kind in ("matrix", "funnel") else file_uri(path)  # these have charts
+        if uri:
+            caption = t(_CAPTIONS.get(kind, path.stem.replace("_", " ")))
+            found.append((order.index(kind) if kind else len(order), uri, caption))
+    return [(uri, caption) for _, uri, caption in sorted(found, key=lambda f: f[0])]
+
+
+def _funnel_table(rows: list[tuple[str, int, str]], images: int) -> formatting.Table | None:
+    every = images * (images - 1) / 2
+    body = [
+        [step_name(name), value if is_loss(name) else None, left, 100 * left / every if every else None]
+        for (name, value, _), left in zip(rows, pairs_left(rows))
+    ]
+    return formatting.table({"columns": ["step", "dropped", "pairs left", "% of all possible"], "rows": body})
