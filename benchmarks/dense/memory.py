@@ -12,8 +12,7 @@ import json
 import sys
 from pathlib import Path
 
-from tiegraph.pipeline.cloud import cloud
-from tiegraph.pipeline.dense import dense
+from tiegraph.pipeline.dense import cloud, dense
 from tiegraph.pipeline.files import FINAL
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.progress import Meter

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
 from scipy.sparse import coo_array, csc_matrix, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
-from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.design import with_accuracy
+from tiegraph.pipeline.features import with_previews
 from tiegraph.pipeline.files import trusted_poses
-from tiegraph.pipeline.preview import with_previews
+from tiegraph.project import run as project_run
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.settings import merged
 from tiegraph.scene.colmapdatabase import pair_ids, reading
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
@@ -51,7 +50,7 @@ class Run:
             Pairs.from_npz(_npz(folder / "network.npz")),
             PreviewMatches.from_npz(_npz(folder / "network" / "matches.npz")),
         )
-        pairs, ties, _ = with_previews(pairs, ties, folder, PreviewSettings(), PreviewTuning(), _in_turn)
+        pairs, ties, _ = with_previews(run_of(folder), pairs, ties)
         return Run(
             folder,
             Scene.from_json((folder / "network" / "scene.json").read_text()).measured(),
@@ -63,7 +62,7 @@ class Run:
 
     def with_accuracy(self) -> Pairs:
         """The pairs with the accuracy that paper 002 gives them."""
-        return with_accuracy(self.pairs, self.scene, self.ties, self.folder, _in_turn, Tuning().two_view)
+        return with_accuracy(run_of(self.folder), self.pairs, self.scene, self.ties)
 
     def settings(self) -> SparseSettings:
         """Those of the mapping: the defaults, no GNSS, so that only the pairs count."""
@@ -99,8 +98,9 @@ def positions_free_gauge(normal: csc_matrix, layout: Layout) -> np.ndarray:
     return np.asarray(sides.T @ factor.solve(sides))
 
 
-def _in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
-    return [function(item, *args) for item in items]
+def run_of(folder: Path) -> project_run.Run:
+    """The run folder with the default settings."""
+    return project_run.Run(folder, Inputs(folder), merged(), "serial")
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:

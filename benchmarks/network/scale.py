@@ -36,8 +36,8 @@ from tiegraph.network.candidates import find_candidates
 from tiegraph.network.coarse.search import Coarse
 from tiegraph.network.network import Network, join_network
 from tiegraph.network.passes import MatchCache
-from tiegraph.pipeline import coarse as coarse_glue
-from tiegraph.pipeline.candidates import _Descriptors
+from tiegraph.pipeline import network as coarse_glue
+from tiegraph.pipeline.network import _Descriptors
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings

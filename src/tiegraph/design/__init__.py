@@ -7,7 +7,7 @@
    (``resistance``, ``tracks``), until the predicted sigma of the positions is within the budget of that of all
    candidates (``predict``), which counts the frames of a known rig, not its images.
 
-Pairs without known ties are previewed first (``pipeline.preview``): the sources ``sequence``, ``exhaustive``
+Pairs without known ties are previewed first (``pipeline.features``): the sources ``sequence``, ``exhaustive``
 and ``file`` by themselves preview none, and method ``all`` needs none. Otherwise only a third of the candidates was
 ever previewed, and the tracks of all are predicted from the points of the coarse model (``matchprediction``): the
 decrease of matches with the angle between the rays and with the ratio of the distances, and the rate at which an image
