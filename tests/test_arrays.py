@@ -89,9 +89,10 @@ def test_masks_are_learnt_from_the_images_of_a_camera(survey: Survey) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("children_are_functions")
 def test_a_model_of_arrays(survey: Survey) -> None:
     _, images = port(survey)
-    model = arrays.reconstruct(images)
+    model = arrays.reconstruct(images, pool="serial")
     assert model.num_reg_images() == 6 and sorted(i.name for i in model.images.values())[0] == "000000.png"
 
 

@@ -11,7 +11,7 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-from tiegraph.cli import demo
+from tiegraph.cli import begin
 from tiegraph.errors import InputError
 
 if sys.version_info >= (3, 11):
@@ -64,14 +64,14 @@ def test_the_container_is_given_all_that_its_build_reads():
 
 
 def test_without_its_package_the_demo_says_what_to_install(monkeypatch):
-    assert (demo.example() / "rig.toml").exists()
-    monkeypatch.setattr(demo, "__file__", "/nowhere/site-packages/tiegraph/cli/demo.py")
-    monkeypatch.setattr(demo, "find_spec", lambda name: None)
+    assert (begin.example() / "rig.toml").exists()
+    monkeypatch.setattr(begin, "__file__", "/nowhere/site-packages/tiegraph/cli/begin.py")
+    monkeypatch.setattr(begin, "find_spec", lambda name: None)
     with pytest.raises(InputError, match="pip install tiegraph-canal"):
-        demo.example()
+        begin.example()
     example = ROOT / "examples" / "canal"
     places = [str(example)]
     found = importlib.util.spec_from_file_location("tiegraph_canal", example / "__init__.py",
                                                    submodule_search_locations=places)  # fmt: skip
-    monkeypatch.setattr(demo, "find_spec", lambda name: found)
-    assert demo.example() == example
+    monkeypatch.setattr(begin, "find_spec", lambda name: found)
+    assert begin.example() == example

@@ -23,7 +23,7 @@ MAX_RETURNED = 3
 MAX_UNPACKED = 2  # a pair is a thing; three things are arguments
 
 # Options of the command line are settings.
-OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options", "tiegraph.cli.shots")
+OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options", "tiegraph.cli.surveys")
 # Tables, whose fields are their columns, and records of a file.
 BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec"}
 
@@ -149,7 +149,7 @@ def test_engines_do_not_know_the_house():
 def test_executors_live_in_one_place(module):
     allowed = {
         "project/pool.py",
-        "project/receipts.py",
+        "project/stages.py",
         "project/run.py",
         "project/daskpool.py",
         "project/daskworker.py",

@@ -39,7 +39,7 @@ def main(spec: dict[str, Any]) -> int:
 def adopt(out: Path, clean: Path, redo: set[str], command: list[str]) -> None:
     """Take over from ``clean`` what the stages made that neither are in ``redo`` nor come after one that is."""
     from tiegraph.pipeline import STAGES
-    from tiegraph.project.receipts import Receipts
+    from tiegraph.project.stages import Receipts
 
     keys, late = _keys(command), set(redo)
     mine, theirs = Receipts(out), Receipts(clean)
@@ -91,7 +91,7 @@ def _new_positions(out: Path, clean: Path) -> None:
 
 
 def _enter(out: Path, stage: Any, ledger: dict, receipts: tuple[Any, Any], key: str) -> None:
-    from tiegraph.project.receipts import digest_of, recorded
+    from tiegraph.project.stages import digest_of, recorded
 
     mine, theirs = receipts
     receipt = theirs.read(stage.name)

@@ -22,9 +22,9 @@ from tiegraph.features.preview import PreviewMatch
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse
-from tiegraph.pipeline import candidates as candidates_glue
-from tiegraph.pipeline import coarse as coarse_glue
-from tiegraph.pipeline import preview as previews_glue
+from tiegraph.pipeline import features as previews_glue
+from tiegraph.pipeline import network as candidates_glue
+from tiegraph.pipeline import network as coarse_glue
 from tiegraph.project.run import Run
 from tiegraph.scene.pairs import PreviewMatches, Visibility
 from tiegraph.scene.rig import Rig

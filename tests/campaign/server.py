@@ -26,7 +26,8 @@ _KEPT = []  # the module this runs in, once another one has taken its name
 
 
 def preload() -> None:
-    """Import all of tiegraph and, with it, every library it uses."""
+    """Import all of tiegraph and, with it, every library it uses, and read a command line, whose options every command
+    builds validators for: more work than a stage of a small survey."""
     import tiegraph
 
     gc.disable()  # nothing of what is loaded is garbage
@@ -35,6 +36,7 @@ def preload() -> None:
             importlib.import_module(module.name)
         except ImportError:  # an extra that is not installed
             continue
+    importlib.import_module("tiegraph.cli.run").preparsed(["images"])
     gc.freeze()  # a child's collector would touch, and so copy, every page of it
     gc.enable()
 

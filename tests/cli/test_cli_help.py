@@ -7,7 +7,7 @@ import pytest
 
 from tiegraph.cli.main import main
 from tiegraph.cli.run import RunOptions
-from tiegraph.cli.verbs import RUN_PAGE, VERBS
+from tiegraph.cli.verbs import RUN_PAGE, VERBS, Verb
 from tiegraph.project.settings import PRESETS, sections
 from tiegraph.settings import Section
 
@@ -91,7 +91,7 @@ def test_help_of_evaluate_shows_both_forms(said):
     assert "--distances-m" in options(said("evaluate", "a.laz", "b.laz", "--help"))
 
 
-@pytest.mark.parametrize("name", [name for name, verb in VERBS.items() if not verb.stage])
+@pytest.mark.parametrize("name", [name for name, verb in VERBS.items() if verb.of != Verb.of])
 def test_verbs_of_one_page_take_help_all_too(name, said):
     first = said(name, "--help-all")
     assert first.startswith(f"usage: tiegraph {name} ")

@@ -1,4 +1,4 @@
-"""The door: what the command line loads, the table of verbs, and verbs that do more than their stage."""
+"""The door: what the command line loads, the table of verbs, verbs that do more than their stage, and `doctor`."""
 
 import json
 import shutil
@@ -6,14 +6,18 @@ import signal
 import subprocess
 import sys
 from collections import namedtuple
+from importlib.metadata import version
+from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
+import pyproj
 import pytest
 
 import tiegraph
 from boat_world import photos
-from tiegraph.cli import network, report
+from tiegraph.cli import doctor, forms
 from tiegraph.cli.main import main
 from tiegraph.cli.verbs import VERBS, wants_page
 from tiegraph.errors import EngineMissing
@@ -70,8 +74,7 @@ def test_the_table_knows_the_stages():
 
 @pytest.mark.parametrize("name", VERBS)
 def test_every_verb_can_be_loaded(name):
-    assert callable(VERBS[name].load())
-    assert VERBS[name].stage in ("", name)
+    assert callable(VERBS[name].load(name))
 
 
 @pytest.mark.slow
@@ -84,8 +87,8 @@ def test_a_verb_is_stopped_in_one_line_after_pycolmap_is_loaded(caught):
 import os, signal, sys, time
 from tiegraph.cli import main, verbs
 load = verbs.Verb.load
-def loaded(verb):
-    load(verb)
+def loaded(*of):
+    load(*of)
     return stopped
 def stopped(arguments):
     try:
@@ -132,20 +135,20 @@ def test_the_package_shows_its_names():
 def asked(monkeypatch):
     """What the stage is run with, and what is printed."""
     calls = []
-    monkeypatch.setattr(report.run, "main_stage", lambda stage, arguments, *_: calls.append((stage, arguments)) or 0)
-    monkeypatch.setattr(report, "find_browser", lambda: "chromium")
-    monkeypatch.setattr(report, "print_pdf", lambda page, target: calls.append((page.name, target)))
+    monkeypatch.setattr(forms.run, "main_stage", lambda stage, arguments, *_: calls.append((stage, arguments)) or 0)
+    monkeypatch.setattr(forms, "find_browser", lambda: "chromium")
+    monkeypatch.setattr(forms, "print_pdf", lambda page, target: calls.append((page.name, target)))
     return calls
 
 
 def test_language_is_the_setting_and_pdf_prints_after_the_stage(asked, tmp_path, capsys):
-    assert report.main([str(tmp_path), "--language", "ja", "--pdf"]) == 0
+    assert forms.report([str(tmp_path), "--language", "ja", "--pdf"]) == 0
     assert asked == [
         ("report", [str(tmp_path), "--report.language", "ja"]),
         ("report.html", tmp_path / "report.pdf"),
     ]
     assert f"printed: {tmp_path / 'report.pdf'}" in capsys.readouterr().out
-    report.main([str(tmp_path), "--language=en"])
+    forms.report([str(tmp_path), "--language=en"])
     assert asked[2:] == [("report", [str(tmp_path), "--report.language=en"])]
 
 
@@ -153,9 +156,9 @@ def test_what_is_missing_is_said_before_the_work(asked, monkeypatch, tmp_path):
     def none():
         raise EngineMissing("no browser")
 
-    monkeypatch.setattr(report, "find_browser", none)
+    monkeypatch.setattr(forms, "find_browser", none)
     with pytest.raises(EngineMissing, match="no browser"):
-        report.main([str(tmp_path), "--pdf"])
+        forms.report([str(tmp_path), "--pdf"])
     assert asked == []
 
 
@@ -166,7 +169,7 @@ RING, CHAIN = Pairs.make([0, 1, 2, 0], [1, 2, 3, 3], "file"), Pairs.make([0, 1, 
 def judged(tmp_path, monkeypatch, capsys):
     """What --coverage says of candidate pairs and of chosen ones, and its exit code."""
     asked = []
-    monkeypatch.setattr(network.run, "main_stage", lambda stage, arguments, *_: asked.append(stage))
+    monkeypatch.setattr(forms.run, "main_stage", lambda stage, arguments, *_: asked.append(stage))
     (tmp_path / "tiegraph.toml").write_text("[run]\nimages = '.'\n")
     for name, folder in (("scene.json", tmp_path), ("scene.json", tmp_path / "network")):
         folder.mkdir(exist_ok=True)
@@ -178,7 +181,7 @@ def judged(tmp_path, monkeypatch, capsys):
             np.savez(tmp_path / folder / "matches.npz", **ties.to_npz())
         for name, pairs in (("network", candidates), ("pairs", chosen)):
             np.savez(tmp_path / f"{name}.npz", **pairs.to_npz())
-        code = network.main(["--coverage", str(tmp_path), *more])
+        code = forms.network(["--coverage", str(tmp_path), *more])
         assert asked[-1] == "design", "else the pairs that it chose may be those of another network"
         return code, capsys.readouterr().out
 
@@ -268,3 +271,70 @@ def test_frames_of_videos_are_counted_by_scan(images, capsys):
     (images / "drive.mp4").write_bytes(b"none is looked at")
     code, said = plan(images, capsys)
     assert code == 0 and "counted by the stage scan" in said and not (images.parent / "out").exists()
+
+
+@pytest.fixture
+def lines(capsys, monkeypatch):
+    """{what: how it is} as printed; columns of a narrow terminal change nothing."""
+    monkeypatch.setenv("COLUMNS", "40")
+
+    def run() -> dict[str, str]:
+        assert main(["doctor"]) == 0
+        rows = capsys.readouterr().out.splitlines()
+        return {row[:24].rstrip(): row[25:] for row in rows}
+
+    return run
+
+
+def test_what_doctor_names(lines):
+    said = lines()
+    names = "tiegraph|python|pycolmap|numpy|cores|memory|disk|native kernels|descriptor kernels|ONNX Runtime|PROJ grids"
+    assert {*names.split("|"), "dask", "pycolmap with CUDA", "disk, temporary files"} <= set(said)
+    assert all(said.values())
+
+
+def test_what_is_installed_has_its_version_and_hints_for_the_rest_keep_their_brackets(lines, monkeypatch):
+    names = ("ONNX Runtime", "dask", "rosbags")
+    monkeypatch.setattr(doctor, "version", lambda name: f"0.11 of {name}")
+    assert [lines()[name] for name in names] == ["0.11 of onnxruntime", "0.11 of distributed", "0.11 of rosbags"]
+    monkeypatch.setattr(doctor, "version", lambda name: version(f"no-{name}"))
+    assert [lines()[name] for name in names] == [
+        "not installed (pip install 'tiegraph[onnx]' for --masks.source model)",
+        "not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)",
+        "not installed (pip install 'tiegraph[ros]' for bags of ROS)",
+    ]
+
+
+def test_native_kernels_there_and_not(lines, monkeypatch):
+    monkeypatch.setattr(doctor, "kernels", lambda: ["avx2", "plain"])
+    assert lines()["native kernels"] == "avx2, plain (the fastest first)"
+    monkeypatch.setattr(doctor, "kernels", lambda: [])
+    said = lines()["native kernels"]
+    assert said.startswith("not built") and "C++ compiler" in said
+
+
+@pytest.mark.parametrize("online", [False, True])
+@pytest.mark.parametrize("files", [(), ("us_noaa_g2012bu0.tif", "egm96_15.gtx", "proj.db")])
+def test_grids(lines, monkeypatch, tmp_path: Path, online: bool, files: tuple[str, ...]):
+    for name in files:
+        (tmp_path / name).touch()
+    monkeypatch.setattr(pyproj.datadir, "get_data_dir", lambda: str(tmp_path))
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path / "none"))
+    monkeypatch.setattr(pyproj.network, "is_network_enabled", lambda: online)
+    said = lines()["PROJ grids"]
+    assert said.startswith("2 installed" if files else "none")
+    assert ("downloaded when needed" in said) == online
+    assert ("PROJ_NETWORK=ON, or pyproj sync" in said) == (not files and not online)
+
+
+def test_disk_is_that_of_the_working_folder_also_when_that_has_gone(lines, monkeypatch, tmp_path: Path):
+    folder = tmp_path / "a [b] c"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    asked = []
+    room = SimpleNamespace(free=3 << 30, total=8 << 30)
+    with monkeypatch.context() as patch:
+        patch.setattr(doctor.shutil, "disk_usage", lambda path: asked.append(Path(path)) or room)
+        assert lines()["disk"] == f"3.0 GiB free of 8.0 GiB ({folder})" and asked[0] == folder
+    folder.rmdir()
+    assert "cannot be read" in lines()["disk"]

@@ -13,7 +13,7 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.lidar.handeye import Given, Poses, hand_eye, rig_in_lidar_world, settled
 from tiegraph.lidar.pointtie import tie_by_points
 from tiegraph.pipeline.lidar import SurveyRun, calibrated, compared
-from tiegraph.project.verbtunings import VerbTunings
+from tiegraph.project.settings import VerbTunings
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

@@ -6,8 +6,6 @@ import errno
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import pytest
 
 import tiegraph
 import worlds
+from campaign.process import Server
 from said import refused, says
 from tiegraph.cli.main import main
 from tiegraph.errors import ReconstructionError, SettingsError
@@ -309,24 +308,18 @@ def test_disk_full_says_so_and_the_next_run_goes_on(
     assert all(path.stat().st_mtime_ns == when for path, when in before.items()), "finished masks were made again"
 
 
-_LIMITED = """
-import resource, sys
-limit = int(sys.argv[1])  # bytes of a file; a write past it fails, as on a full disk
-resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-from tiegraph.cli.main import main
-sys.exit(main(sys.argv[2:]))
-"""
-
-
 @pytest.mark.slow
-def test_database_that_cannot_grow_says_so_and_the_next_run_goes_on(runs: Run, images: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("children_are_functions")
+def test_database_that_cannot_grow_says_so_and_the_next_run_goes_on(
+    runs: Run, images: Path, server: Server, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     command = ["run", str(images), "-o", str(out), "--pool", "serial", "--until", "match"]
-    limited = subprocess.run(
-        [sys.executable, "-c", _LIMITED, "400000", *command], capture_output=True, text=True, timeout=300, check=False
-    )
-    assert limited.returncode in (1, 2), limited.stderr
-    assert "Traceback" not in limited.stderr and "ulimit -f" in limited.stderr and str(out) in limited.stderr
+    limited = server.run(
+        command, tmp_path / "said", 300, file_bytes=400_000
+    )  # a write past it fails, as on a full disk
+    assert limited.code in (1, 2), limited
+    assert "Traceback" not in limited.text and "ulimit -f" in limited.text and str(out) in limited.text
     scanned = (out / "receipts/scan.json").read_bytes()
     runs(until="match")
     assert (out / "receipts/scan.json").read_bytes() == scanned, "finished stages were made again"

@@ -8,9 +8,9 @@ import numpy as np
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.baseline import Block, interrupted_note, run_side
 from tiegraph.project.artefacts import LOST
-from tiegraph.project.receipts import Receipts
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import merged
+from tiegraph.project.stages import Receipts
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 

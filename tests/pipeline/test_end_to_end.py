@@ -51,9 +51,8 @@ def project(survey):
         "times": worlds.write_times(made, folder / "times.csv"),
     }
     # Walls fill these small images, so that first and last frame are too alike for masks from their difference.
-    opened = tiegraph.open(
-        made.images, folder / "out", pool="serial", settings={"masks": {"source": "none"}}, tolerance=5.0, **inputs
-    )
+    settings = {"masks": {"source": "none"}, "cloud": {"voxel_size": 0.05}}
+    opened = tiegraph.open(made.images, folder / "out", pool="serial", settings=settings, tolerance=5.0, **inputs)
     with pytest.MonkeyPatch.context() as patch:
         here.patch(patch)
         return opened.run()
@@ -186,7 +185,7 @@ def test_a_survey_without_a_cloud_and_a_reference_of_elsewhere_leave_the_model_a
     def nothing(*arguments):
         raise ReconstructionError("no depth map has a point that enough images agree on")
 
-    monkeypatch.setattr(importlib.import_module("tiegraph.pipeline.cloud"), "fuse", nothing)
+    monkeypatch.setattr(importlib.import_module("tiegraph.pipeline.dense"), "fuse", nothing)
     (tmp_path / "elsewhere.tum").write_text("".join(f"{k} {k} 0 0 0 0 0 1\n" for k in range(5)))
     reference = {"reference": tmp_path / "elsewhere.tum"}
     again = tiegraph.open(out=folder, pool="serial", settings={"cloud": {"voxel_size": 0.2}, "evaluate": reference})

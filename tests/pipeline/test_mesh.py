@@ -10,8 +10,8 @@ import trimesh
 from PIL import Image
 from scipy.spatial import cKDTree
 
+import here
 import tiegraph
-from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.pipeline import mesh as glue
 from tiegraph.pipeline.files import world_origin
@@ -24,16 +24,23 @@ pytestmark = pytest.mark.slow
 FILES = {"mesh.glb", "mesh.obj", "mesh.mtl", "mesh.ply", "offset.json", "texture0.jpg"}
 
 
-def run_of(folder, pool="serial", **settings):
-    return Run(folder, Inputs(folder / "images"), merged({"mesh": settings}), pool=pool)
+def run_of(folder, **settings):
+    return Run(folder, Inputs(folder / "images"), merged({"mesh": settings}), pool="serial")
 
 
 @pytest.fixture(scope="module")
-def made(finished, tmp_path_factory):
-    """A run folder after the report, with its mesh."""
+def made(finished, server, tmp_path_factory):
+    """A run folder after the report, with its mesh, by a child process for COLMAP's surface as users have it."""
     folder = finished.after("report", tmp_path_factory.mktemp("meshed") / "run")
-    assert main(["mesh", str(folder), "--pool", "serial", "--quiet"]) == 0
+    ended = server.run(["mesh", folder, "--pool", "serial", "--quiet"], folder.parent / "said", 200)
+    assert ended.good, ended
     return folder
+
+
+@pytest.fixture(autouse=True)
+def surface_here(monkeypatch):
+    """Its child is a function in the other tests: to start one costs more than the surface."""
+    monkeypatch.setattr(glue, "run_in_child", here.here)
 
 
 def turned(xyz):
@@ -87,26 +94,22 @@ def test_textures_show_what_the_points_show(made):
     assert np.median(np.concatenate(off)) < 20
 
 
-def test_it_is_up_to_date_and_only_the_mesh_runs_again(made, tmp_path, capsys):
+def test_it_is_up_to_date_and_only_the_mesh_runs_again(made, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(made, folder, symlinks=True)
-    project = tiegraph.open(out=folder)
+    project = tiegraph.open(out=folder, pool="serial")
     before = (folder / "mesh" / "mesh.ply").stat().st_mtime_ns
     project.run("mesh")
     assert (folder / "mesh" / "mesh.ply").stat().st_mtime_ns == before
-    few = tiegraph.open(out=folder, settings={"mesh": {"faces": 100}})
+    few = tiegraph.open(out=folder, pool="serial", settings={"mesh": {"faces": 100}})
     few.run("mesh")
     assert few.receipt("mesh")["counts"]["faces"] <= 100
     assert all(not why for _, why, _ in few.status())
 
 
-def test_the_pool_does_not_change_a_byte(made, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(made, folder, symlinks=True)
-    shutil.rmtree(folder / "mesh")
-    run = run_of(folder, "local:2")
-    glue.mesh(run)
-    run.close()
+def test_the_pool_does_not_change_a_byte(finished, made, server, tmp_path):
+    folder = finished.after("report", tmp_path / "run")
+    assert server.run(["mesh", folder, "--pool", "local:2", "--quiet"], tmp_path / "said", 200).good
     assert [n for n in FILES if (made / "mesh" / n).read_bytes() != (folder / "mesh" / n).read_bytes()] == []
 
 
@@ -125,14 +128,13 @@ def test_what_is_finished_stays_when_it_is_stopped(made, tmp_path, monkeypatch):
 
     for name in ("mesh_of", "seen_by", "chosen"):
         monkeypatch.setattr(glue, name, counted(name))
+    cut_out = glue.cut_out
     monkeypatch.setattr(glue, "cut_out", stop)
     with pytest.raises(KeyboardInterrupt):
         glue.mesh(run_of(folder))
     first = list(calls)
     assert {"mesh_of", "seen_by", "chosen"} == set(first)
-    monkeypatch.undo()
-    for name in ("mesh_of", "seen_by", "chosen"):
-        monkeypatch.setattr(glue, name, counted(name))
+    monkeypatch.setattr(glue, "cut_out", cut_out)
     glue.mesh(run_of(folder))
     assert calls == first
     assert (folder / "mesh" / "mesh.glb").read_bytes() == (made / "mesh" / "mesh.glb").read_bytes()

@@ -15,9 +15,8 @@ from clouds_world import ground
 from said import refused
 from tiegraph.cli.main import main
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.pipeline.clouds import EpochOptions, compare_epochs
+from tiegraph.pipeline.clouds import compare_epochs, compare_passes
 from tiegraph.pipeline.evaluate import evaluate
-from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.run import Run
 from tiegraph.project.settings import merged
 from tiegraph.scene.cloudfile import write_cloud
@@ -77,7 +76,7 @@ def test_a_box_that_grew_by_5_cm(tmp_path: Path, capsys) -> None:
         f"changes.{e}" for e in ("csv", "json", "laz", "png")
     ]
     with refused("exists already"):
-        compare_epochs((first, second), tmp_path / "out", EpochOptions())
+        compare_epochs((first, second), tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -87,12 +86,12 @@ def test_a_shift_of_the_whole_survey_is_within_its_sigma_or_registered(tmp_path:
         cloud[:, 2] += np.sin(cloud[:, 0]) + np.cos(cloud[:, 1])  # else it slides
     first = survey(tmp_path / "a", flat, placed_m=0.05)
     second = survey(tmp_path / "b", bumpy + [0, 0, 0.06], placed_m=0.05)
-    found = compare_epochs((first, second), tmp_path / "placed", EpochOptions())
+    found = compare_epochs((first, second), tmp_path / "placed")
     assert found["changes"]["rows"] == [] and found["differences"]["median m"] == pytest.approx(0.05, abs=0.02)
     loose = [survey(tmp_path / n, xyz, placed_m=None) for n, xyz in (("c", flat), ("d", bumpy + [0, 0, 0.06]))]
     with refused("c: its place on the Earth is not known.*--register rigid"):
-        compare_epochs((loose[0], loose[1]), tmp_path / "loose", EpochOptions())
-    found = compare_epochs((loose[0], loose[1]), tmp_path / "registered", EpochOptions(register="rigid"))
+        compare_epochs((loose[0], loose[1]), tmp_path / "loose")
+    found = compare_epochs((loose[0], loose[1]), tmp_path / "registered", register="rigid")
     rows = {name: (value, sigma) for name, value, sigma in found["registration"]["rows"]}
     value, sigma = rows["shift in z at the middle, m"]
     assert value == pytest.approx(-0.06, abs=0.005) and 0 < sigma < 0.005
@@ -110,10 +109,10 @@ def test_a_survey_in_another_frame_is_laid_on_the_first_by_its_shape(tmp_path: P
     first = survey(tmp_path / "a", clouds[0], placed_m=None)
     second = survey(tmp_path / "b", clouds[1] @ turn.T + [300.0, -80, 12], placed_m=None)
     with refused("--coarse starts a registration: add --register rigid"):
-        compare_epochs((first, second), tmp_path / "out", EpochOptions(coarse=True))
+        compare_epochs((first, second), tmp_path / "out", coarse=True)
     with refused("do not overlap"):
-        compare_epochs((first, second), tmp_path / "out", EpochOptions(register="rigid"))
-    found = compare_epochs((first, second), tmp_path / "out", EpochOptions(register="rigid", coarse=True))
+        compare_epochs((first, second), tmp_path / "out", register="rigid")
+    found = compare_epochs((first, second), tmp_path / "out", register="rigid", coarse=True)
     assert abs(found["differences"]["median m"]) < 0.005 and 0 < found["differences"]["significant %"] < 12
     rows = {row[0]: row[1] for row in found["registration"]["rows"]}
     assert rows["coarse start: points near the reference, %"] > 80 and "start by their shapes" in found["notes"][0]
@@ -124,18 +123,18 @@ def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> 
     first = survey(tmp_path / "a", ground(500, 0))
     (tmp_path / "none").mkdir()
     with refused("none: it has no cloud.laz: run it to the stage cloud"):
-        compare_epochs((first, tmp_path / "none"), tmp_path / "out", EpochOptions())
+        compare_epochs((first, tmp_path / "none"), tmp_path / "out")
     elsewhere = survey(tmp_path / "b", ground(500, 0), shift=(5000.0, 0, 0))
     moved = survey(tmp_path / "c", ground(500, 0) + [5000.0, 0, 0])
     with refused(r"c/cloud.laz \(EPSG:32654 by its header\): the cloud .* do not meet"):
-        compare_epochs((first, moved), tmp_path / "out", EpochOptions())
+        compare_epochs((first, moved), tmp_path / "out")
     with refused("a depth of -1 m does not fit: give .* to .* m"):
-        compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=-1.0))
+        compare_epochs((first, elsewhere), tmp_path / "out", depth_m=-1.0)
     assert not (tmp_path / "out").exists()
-    found = compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=9.5))
+    found = compare_epochs((first, elsewhere), tmp_path / "out", depth_m=9.5)
     assert found["cylinders"]["depth_m"] == 9.5
     (first / "tiegraph.toml").write_text(f'[run]\nimages = "{tmp_path}"\n[tuning.evaluate.m3c2]\nleast_points = 1000\n')
-    other = compare_epochs((first, elsewhere), tmp_path / "tuned", EpochOptions(depth_m=9.5))
+    other = compare_epochs((first, elsewhere), tmp_path / "tuned", depth_m=9.5)
     assert found["differences"]["compared %"] > 50 and other["differences"]["compared %"] == 0
 
 

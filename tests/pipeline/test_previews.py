@@ -9,19 +9,16 @@ import pytest
 
 from blocks_world import Mapper, place, survey, ties_of
 from tiegraph.features.preview import Preview, PreviewMatch
-from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.tuning import PreviewTuning
 from tiegraph.network.coarse.assembled import Assembled
-from tiegraph.pipeline import coarse
-from tiegraph.pipeline import preview as previews
+from tiegraph.pipeline import features as previews
+from tiegraph.pipeline import network as coarse
 from tiegraph.pipeline.design import with_accuracy
-from tiegraph.pipeline.preview import Matcher, preview_path, with_previews
+from tiegraph.pipeline.features import Matcher, preview_path, with_previews
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.tuning import TwoViewTuning
 
 
 class Killed(BaseException):
@@ -147,16 +144,12 @@ def world_of_three(folder: Path) -> Scene:
     return scene
 
 
-def in_turn(function, items, *args):
-    return [function(item, *args) for item in items]
-
-
 def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
     scene = world_of_three(tmp_path)
     all_points = np.stack([np.arange(60)] * 2, axis=1)
     pairs = Pairs.make([0, 0, 1], [1, 2, 2], "sequence")
     ties = PreviewMatches.make([0, 0], [1, 2], [all_points, all_points])
-    found = with_accuracy(pairs, scene, ties, tmp_path, in_turn, TwoViewTuning())
+    found = with_accuracy(run_in(tmp_path), pairs, scene, ties)
     assert np.isfinite(found.sigma_m).tolist() == [True, True, False], "the third was not previewed"
     assert np.all(found.sigma_m[:2] > 0) and np.all(found.sigma_m[:2] < 1.5)
     assert 8 < found.h_over_b[0] < 13 and 4 < found.h_over_b[1] < 6.5
@@ -166,7 +159,7 @@ def test_pairs_without_previews_have_no_accuracy() -> None:
     scene = simple_scene(Rig("camera", (Sensor("camera"),)), ["a.jpg", "b.jpg"], np.arange(2), np.zeros(2))
     by_model = np.array([0.1])
     pairs = Pairs.make([0], [1], "sequence", sigma_m=by_model, h_over_b=by_model)
-    found = with_accuracy(pairs, scene, PreviewMatches.empty(), Path("."), lambda *_: [], TwoViewTuning())
+    found = with_accuracy(run_in(Path(".")), pairs, scene, PreviewMatches.empty())
     assert np.isnan([found.sigma_m[0], found.h_over_b[0]]).all(), "what the coarse model says is none of the paper's"
 
 
@@ -175,11 +168,11 @@ def test_pairs_of_which_nothing_is_known_are_previewed_for_the_design(tmp_path: 
     by_model = Pairs.make([1], [2], "model", overlap=np.array([0.4]))
     dropped = Pairs.make([0], [2], "file", dropped=np.array([1]))
     known = PreviewMatches.make([0], [2], [np.zeros((3, 2))])
-    listed, how = Pairs.make([0], [1], "sequence") | dropped | by_model, (PreviewSettings(), PreviewTuning())
-    pairs, ties, count = with_previews(listed, known, tmp_path, *how, in_turn)
+    listed = Pairs.make([0], [1], "sequence") | dropped | by_model
+    pairs, ties, count = with_previews(run_in(tmp_path), listed, known)
     assert count == 1, "one has an overlap, one was dropped"
     assert pairs.score[0] > 40 and np.isnan(pairs.score[1:]).all()
     row = ties.find(np.array([0, 0]), np.array([1, 2]))
     assert len(ties) == 2 and ties.counts()[row].tolist() == [pairs.score[0], 3]
-    again = with_previews(pairs, ties, tmp_path, *how, in_turn)
+    again = with_previews(run_in(tmp_path), pairs, ties)
     assert again[2] == 0 and again[0] is pairs

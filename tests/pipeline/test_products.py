@@ -82,18 +82,6 @@ def test_a_whole_run_makes_elevations_of_its_walls(made):
     assert all(path.suffix == ".tif" and path.is_file() for path in given["elevation1"].values())
 
 
-def test_the_pool_does_not_change_a_byte(made, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(made, folder, symlinks=True)
-    shutil.rmtree(folder / "products")
-    run = Run(folder, Inputs(folder / "images"), merged({}), pool="local:2")
-    glue.products(run)
-    run.close()
-    files = sorted(p.relative_to(made) for p in (made / "products").rglob("*") if p.is_file())
-    assert len(files) >= 7
-    assert [f for f in files if (made / f).read_bytes() != (folder / f).read_bytes()] == []
-
-
 def test_what_is_kept_of_images_and_tiles_is_not_made_again(made, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     shutil.copytree(made, folder, symlinks=True)

@@ -55,8 +55,9 @@ def test_killed_in_every_stage(finished, server, tmp_path):
     done: dict[str, str] = {}
     before: dict[str, int] = {}
     for k, stage in enumerate(STAGES):
-        # Workers are there to be orphans where a stage has items; their start costs as much as the rest of the run.
-        pool = "local:2" if stage.item == "image" else "serial"
+        # Workers are there to be orphans where a stage has items, or to make the tiles of the stage before; their start
+        # costs as much as the rest of the run.
+        pool = "local:2" if stage.item == "image" or STAGES[k - 1].item == "tile" else "serial"
         kill_in(stage, server.start(finished.command(broken, "--pool", pool), tmp_path / "said"), broken)
         if k:
             last = STAGES[k - 1]

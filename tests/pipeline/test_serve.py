@@ -15,8 +15,7 @@ from typing import Any
 import pytest
 
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.pipeline.serve import OPTIONS, Session
-from tiegraph.pipeline.servepages import ServeServer
+from tiegraph.pipeline.serve import OPTIONS, ServeServer, Session
 from tiegraph.report.pdf import find_browser
 from worlds import make_survey
 

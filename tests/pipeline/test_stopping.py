@@ -26,9 +26,10 @@ _STOP_S = 25  # on a busy machine; 6 s and what it takes to print a line are mea
 def run(finished, server, tmp_path):
     """Starts the survey where the clean run was before a stage, and waits for the stage to begin."""
 
-    def start(stage: str) -> Running:
+    def start(stage: str, *more: str) -> Running:
         out = finished.after(before(stage), tmp_path / "out")
-        running = server.start(finished.command(out, "--pool", "local:2", "--quiet"), tmp_path / "said")
+        command = finished.command(out, "--pool", "local:2", "--quiet", *more)
+        running = server.start(command, tmp_path / "said")
         wait_for((out / "receipts" / f"{stage}.json").exists, running)
         return running
 
@@ -124,7 +125,7 @@ LOSSES = [("candidates", False), ("match", True), ("sparse", True), ("dense", Fa
 
 @pytest.mark.parametrize("stage, child", LOSSES)
 def test_a_killed_process_costs_a_second_try(run, stage, child):
-    running = run(stage)
+    running = run(stage, "--until", stage)
     wait_for(lambda: helpers(running, child), running)
     helpers(running, child)[0].kill()
     code, said = ended(running, _PATIENCE_S)

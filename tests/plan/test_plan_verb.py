@@ -14,7 +14,7 @@ import pytest
 
 from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
-from tiegraph.pipeline.report import report
+from tiegraph.pipeline.evaluate import report
 from tiegraph.plan.figures import effort
 from tiegraph.plan.planner import comparison
 from tiegraph.plan.tuning import Tuning

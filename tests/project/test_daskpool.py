@@ -187,7 +187,7 @@ def test_a_scheduler_without_workers_is_said(commands, monkeypatch):
 
 
 def set_version(number):
-    from tiegraph.project import receipts
+    from tiegraph.project import stages as receipts
 
     receipts.__version__ = number
 
@@ -214,7 +214,7 @@ def test_only_the_series_of_python_must_be_the_same(monkeypatch):
 def hide_tiegraph(hidden):
     import sys
 
-    for module in ("tiegraph.project.daskworker", "tiegraph.project.receipts"):
+    for module in ("tiegraph.project.daskworker", "tiegraph.project.stages"):
         if hidden:
             sys.modules[module] = None
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
+from campaign.process import Server
 from tiegraph.project.folder import LOG, working_in
 
 WARNING = "TIFFReadDirectory: Warning, Unknown field with tag 50000 (0xc350) encountered."
@@ -33,7 +33,7 @@ def test_a_library_writes_to_the_log_and_we_to_the_terminal(tmp_path: Path, capf
 
 
 @pytest.mark.slow
-def test_images_with_odd_tags_do_not_fill_the_terminal(tmp_path: Path) -> None:
+def test_images_with_odd_tags_do_not_fill_the_terminal(server: Server, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     rng = np.random.default_rng(0)
     for k in range(3):
@@ -41,8 +41,7 @@ def test_images_with_odd_tags_do_not_fill_the_terminal(tmp_path: Path) -> None:
         tags[50000], tags.tagtype[50000] = "hello", 2
         pixels = rng.integers(0, 4000, (48, 64)).astype(np.uint16)
         Image.fromarray(pixels).save(tmp_path / "in" / f"IMG_{k:04d}.tif", tiffinfo=tags)
-    command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(tmp_path / "in"), "-o", str(tmp_path / "out"),
-               "--until", "scan", "--pool", "serial"]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
-    assert "TIFF" not in done.stderr + done.stdout and "3 images" in done.stderr
+    asked = ["run", tmp_path / "in", "-o", tmp_path / "out", "--until", "scan", "--pool", "serial"]
+    ended = server.run(asked, tmp_path / "said", 300)
+    assert ended.good and "TIFF" not in ended.text and "3 images" in ended.text, ended
     assert (tmp_path / "out" / LOG).read_text().count("Unknown field with tag 50000") >= 3

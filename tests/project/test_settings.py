@@ -14,9 +14,19 @@ from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import STAGES
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.inputs import Stamps
-from tiegraph.project.settings import PRESETS, Settings, Tunings, changed, merged, preset, read_file, sections
+from tiegraph.project.settings import (
+    PRESETS,
+    Settings,
+    Tunings,
+    VerbTunings,
+    changed,
+    merged,
+    preset,
+    read_file,
+    read_tunings,
+    sections,
+)
 from tiegraph.project.stages import stage_keys
-from tiegraph.project.verbtunings import VerbTunings, read_tunings
 
 
 def test_every_preset_is_valid_and_changes_what_it_says():

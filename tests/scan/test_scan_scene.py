@@ -19,7 +19,7 @@ from tiegraph.api import open_project
 from tiegraph.network.passes import find_passes
 from tiegraph.network.sections import find_sections
 from tiegraph.network.tuning import SectionsTuning
-from tiegraph.pipeline.preview import up_light
+from tiegraph.pipeline.features import up_light
 from tiegraph.project.settings import Settings
 from tiegraph.scan.scan import ScanInputs, build_scene, safe_names
 from tiegraph.scan.settings import ScanSettings

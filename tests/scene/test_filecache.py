@@ -5,7 +5,7 @@ import os
 import pytest
 
 from tiegraph.pipeline import design
-from tiegraph.pipeline import preview as previews
+from tiegraph.pipeline import features as previews
 from tiegraph.scene.atomic import cached_by_file
 
 

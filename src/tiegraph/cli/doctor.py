@@ -17,7 +17,7 @@ from tiegraph.cli.output import say
 from tiegraph.dense import cuda
 from tiegraph.dense.tsgm import kernels
 from tiegraph.features import nearest
-from tiegraph.project.receipts import software
+from tiegraph.project.stages import software
 
 _GRIDS = ("*.tif", "*.gtx", "*.gsb")  # GeoTIFF, and the older formats of vertical and horizontal grids
 

@@ -73,7 +73,9 @@ def _guarded(arguments: list[str]) -> int:
         if (told := explained(error)) is not None:
             return _fail(told, FAILED)
         if isinstance(error, OSError):
-            return _fail(_os_text(error), FAILED)
+            where = f"{error.filename}: " if error.filename else ""
+            text = f"{where}{error.strerror or error}; check the path and its permissions, then run again"
+            return _fail(text, FAILED)
         return _fail(f"unexpected {type(error).__name__}: {error} (details in log.txt of the run folder)", FAILED)
 
 
@@ -82,11 +84,6 @@ def _lost(error: OSError) -> int:
     if isinstance(error, BrokenPipeError):
         return DONE
     return _fail(f"standard output cannot be written ({error.strerror}): give it another place", FAILED)
-
-
-def _os_text(error: OSError) -> str:
-    where = f"{error.filename}: " if error.filename else ""
-    return f"{where}{error.strerror or error}; check the path and its permissions, then run again"
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -109,7 +106,7 @@ def _dispatch(arguments: list[str]) -> int:
     if verb.page and wants_page(rest):
         say(verb.page)
         return DONE
-    run = verb.load()
+    run = verb.load(name)
     gc.enable()
     hear()
     return run(rest)

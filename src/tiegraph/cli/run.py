@@ -22,6 +22,9 @@ from tiegraph.project.settings import SETTING_OF, STAGED, Settings
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.settings import Section
 
+_MESH = """ Of `mesh`: the cloud as a surface of triangles that is coloured from the images: OUT/mesh/mesh.glb (one
+file, for viewers and browsers), mesh.obj with its textures, mesh.ply with colours at the vertices, and offset.json,
+which leads to the coordinates of the CRS."""
 _STATED = (None, "evaluate", "report")  # runs that end with a statement of accuracy
 
 
@@ -38,14 +41,20 @@ class Common(Talk):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(Common):
-    """Options of `tiegraph run`."""
+class Survey(Common):
+    """Options of every verb that begins with images."""
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
     """A rig.toml, a COLMAP rig_config.json, the folder of another run (its rig as found), or ladybug5, ring:N, stereo,
     single, panorama (default: guessed)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(Survey):
+    """Options of `tiegraph run`."""
+
     camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
     """The calibration of a single camera: MODEL,parameters as COLMAP has them, such as
     OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2 (the size may be left away), or a file: COLMAP's cameras.txt or .bin,
@@ -125,6 +134,7 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     """
     folder, known = preparsed(arguments)
     before = open_project(None, folder, unset=known.unset).settings if folder else Settings()
+    about = _MESH if stage == "mesh" else about
     what, shown = f"Run one stage, and what it needs, in a run folder.{about}", STAGED
     if wants_page(arguments):
         what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}."

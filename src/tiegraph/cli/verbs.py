@@ -45,18 +45,24 @@ class Verb:
     """One line of the table."""
 
     about: str  # one line of help
-    module: str  # of tiegraph.cli; its ``main`` takes the arguments and returns the exit code
-    stage: str = ""  # of a verb that is a stage and no more: the module's ``main_stage`` takes its name first
+    of: str = "run.main_stage"  # of tiegraph.cli: "module.name" of a function of the arguments that returns the exit
+    # code (the default's first argument is the verb, a stage and no more), or of a class of options with ``run``
     page: str = ""  # the short help, where the full one fills many screens
 
-    def load(self) -> Callable[[list[str]], int]:
-        """Import the module; the function that takes the arguments.
+    def load(self, name: str) -> Callable[[list[str]], int]:
+        """Import what the verb of this name is; the function that takes the arguments.
 
         pycolmap takes the signals over when it is imported. It is so now, and never later: the caller takes them back.
         """
         import_module("pycolmap")
-        module = import_module(f"tiegraph.cli.{self.module}")
-        return partial(module.main_stage, self.stage) if self.stage else module.main
+        module, own = self.of.split(".")
+        found = getattr(import_module(f"tiegraph.cli.{module}"), own)
+        if self.of == Verb.of:
+            return partial(found, name)
+        if not isinstance(found, type):
+            return found  # type: ignore[no-any-return]
+        options_of = import_module("tiegraph.cli.options").options_of
+        return lambda arguments: options_of(found, f"tiegraph {name}", arguments).run()  # type: ignore[no-any-return]
 
 
 def wants_page(arguments: Sequence[str]) -> bool:
@@ -65,50 +71,59 @@ def wants_page(arguments: Sequence[str]) -> bool:
 
 
 VERBS: dict[str, Verb] = {
-    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run", page=RUN_PAGE),
-    "demo": Verb("the example survey, from images to the report", "demo"),
-    "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "init"),
-    "status": Verb("which stages of a run folder are up to date, and why not", "status"),
-    "compare": Verb("two or more run folders side by side; --epochs: what has changed between two surveys", "compare"),
-    "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
-    "stations": Verb("clouds of single shots without poses put into one frame and merged to one cloud", "stations"),
-    "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
-    "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
-    "serve": Verb("a page in the browser to hand images over, start and follow a run, and read its report", "serve"),
-    "mark": Verb("a page in the browser to mark control points in the images", "mark"),
-    "view": Verb("a finished run in the browser: cloud, cameras, tie graph, maps, coordinates with sigma", "view"),
-    "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "lidar"),
-    "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "watch"),
-    "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),
-    "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
-    "export": Verb("a folder for the next tool: nerfstudio, COLMAP, gsplat, OpenMVS, OpenSfM, TUM, GIS", "export"),
-    "mesh": Verb("a textured mesh of a finished run, as GLB, OBJ and PLY", "mesh"),
-    "profile": Verb("heights of a map along a line, with sigmas: a table and a chart", "profile"),
-    "volume": Verb("cut and fill inside polygons on a map, from a plane, a height or another survey", "volume"),
-    "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),
+    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run.main", page=RUN_PAGE),
+    "demo": Verb("the example survey, from images to the report", "begin.Demo"),
+    "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "begin.Init"),
+    "status": Verb("which stages of a run folder are up to date, and why not", "results.Status"),
+    "compare": Verb(
+        "two or more run folders side by side; --epochs: what has changed between two surveys", "results.compare"
+    ),
+    "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "surveys.Shots"),
+    "stations": Verb(
+        "clouds of single shots without poses put into one frame and merged to one cloud", "surveys.Stations"
+    ),
+    "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "surveys.Calibrate"),
+    "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "surveys.Plan"),
+    "serve": Verb(
+        "a page in the browser to hand images over, start and follow a run, and read its report", "pages.Serve"
+    ),
+    "mark": Verb("a page in the browser to mark control points in the images", "pages.Mark"),
+    "view": Verb(
+        "a finished run in the browser: cloud, cameras, tie graph, maps, coordinates with sigma", "pages.View"
+    ),
+    "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "surveys.Lidar"),
+    "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "pages.Watch"),
+    "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "surveys.Odometry"),
+    "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "results.Rig"),
+    "export": Verb(
+        "a folder for the next tool: nerfstudio, COLMAP, gsplat, OpenMVS, OpenSfM, TUM, GIS", "results.Export"
+    ),
+    "mesh": Verb("a textured mesh of a finished run, as GLB, OBJ and PLY"),
+    "profile": Verb("heights of a map along a line, with sigmas: a table and a chart", "results.profile"),
+    "volume": Verb("cut and fill inside polygons on a map, from a plane, a height or another survey", "results.Volume"),
+    "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor.main"),
     # The stages, as in pipeline.STAGES (tests/cli/test_cli_verbs.py holds them together).
-    "scan": Verb("stage: makes scene.json, whole.json, images, odometry", "run", "scan"),
-    "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "masks"),
-    "preview": Verb("stage: makes preview", "run", "preview"),
-    "candidates": Verb("stage: makes candidates.npz, candidates", "run", "candidates"),
-    "coarse": Verb("stage: makes coarse.npz, coarse", "run", "coarse"),
+    "scan": Verb("stage: makes scene.json, whole.json, images, odometry"),
+    "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "forms.masks"),
+    "preview": Verb("stage: makes preview"),
+    "candidates": Verb("stage: makes candidates.npz, candidates"),
+    "coarse": Verb("stage: makes coarse.npz, coarse"),
     "network": Verb(
-        "stage: makes network.npz, network.csv, network; --coverage: is anything missing, on site", "network"
+        "stage: makes network.npz, network.csv, network; --coverage: is anything missing, on site", "forms.network"
     ),
-    "design": Verb("stage: makes pairs.npz, pairs.txt, pairs, design", "run", "design"),
-    "features": Verb("stage: makes database.db", "run", "features"),
-    "match": Verb("stage: makes match.npz", "run", "match"),
-    "filter": Verb("stage: makes filter.npz", "run", "filter"),
-    "sparse": Verb("stage: makes sparse", "run", "sparse"),
-    "georef": Verb("stage: makes sparse/world, world.json", "run", "georef"),
-    "refine": Verb("stage: makes refine/masks, refine/classes", "run", "refine"),
-    "dense": Verb("stage: makes depth", "run", "dense"),
-    "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply, passes", "run", "cloud"),
-    "products": Verb(
-        "stage: makes products; surface models and true orthophotos of ground or walls", "run", "products"
-    ),
+    "design": Verb("stage: makes pairs.npz, pairs.txt, pairs, design"),
+    "features": Verb("stage: makes database.db"),
+    "match": Verb("stage: makes match.npz"),
+    "filter": Verb("stage: makes filter.npz"),
+    "sparse": Verb("stage: makes sparse"),
+    "georef": Verb("stage: makes sparse/world, world.json"),
+    "refine": Verb("stage: makes refine/masks, refine/classes"),
+    "dense": Verb("stage: makes depth"),
+    "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply, passes"),
+    "products": Verb("stage: makes products; surface models and true orthophotos of ground or walls"),
     "evaluate": Verb(
-        "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud", "evaluate"
+        "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud",
+        "forms.evaluate",
     ),
-    "report": Verb("stage: makes report.html, report.json; --pdf, --language ja", "report"),
+    "report": Verb("stage: makes report.html, report.json; --pdf, --language ja", "forms.report"),
 }

@@ -4,7 +4,7 @@
 positions is near that of all candidates; ``tracks`` has tracks, gains and that prediction. Of loose photographs with
 few candidates all pairs are matched.
 
-Pairs without known ties are previewed first (``pipeline.preview``). Where only a part of the candidates was ever
+Pairs without known ties are previewed first (``pipeline.features``). Where only a part of the candidates was ever
 previewed, the tracks of all are predicted from the points of the coarse model (``matchprediction``).
 
 A net of resistances has one unknown an image. Choosing by the bundle adjustment, with the extrinsics and intrinsics

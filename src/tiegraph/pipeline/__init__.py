@@ -1,8 +1,9 @@
 """The pipeline: the table of stages, an overview of the whole program.
 
 The glue functions read artefacts, call engines and write artefacts; nothing else does. That of a stage is the
-function of its name in the module of its name, loaded when the stage runs: a worker, a child process or a short
-command loads one engine and not all of them (matplotlib, statistics, the report), which would cost each 2.5 CPU s more.
+function of its name in the module of its name or in ``_ELSEWHERE``, loaded when the stage runs: a worker, a child
+process or a short command loads few engines and not all of them (matplotlib, statistics, the report), which would cost
+each 2.5 CPU s more.
 
 ``scan`` writes ``scene.json``; ``candidates``, ``coarse`` and ``network`` each write a copy of their own, with the rig
 checked against the images, calibrated by the coarse model, and the sections cut. Every later stage reads the last,
@@ -14,7 +15,6 @@ with its own world for each pass, serve the choice of pairs and never constrain 
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from tiegraph.project.stages import Outcome, Stage, needed
@@ -22,21 +22,25 @@ from tiegraph.project.stages import Outcome, Stage, needed
 __all__ = ["MESH", "SHOTS", "STAGES", "table"]
 
 
+_ELSEWHERE = {
+    "preview": "features", "candidates": "network", "coarse": "network", "match": "features", "filter": "sparse",
+    "refine": "masks", "cloud": "dense", "report": "evaluate",
+}  # fmt: skip
+
+
+def _module(stage: str) -> Any:
+    return import_module(f"tiegraph.pipeline.{_ELSEWHERE.get(stage, stage)}")
+
+
 def _glue(name: str, run: Any) -> Outcome:
-    """Run the glue of a stage."""
-    return getattr(import_module(f"tiegraph.pipeline.{name}"), name)(run)  # type: ignore[no-any-return]
+    return getattr(_module(name), name)(run)  # type: ignore[no-any-return]
 
 
 def load(until: str | None = None) -> None:
     """Import the glue of all stages up to and including one, as far as possible: a stage reports missing parts."""
     for stage in needed(table(until), until):
         with suppress(ImportError):
-            import_module(f"tiegraph.pipeline.{stage.name}")
-
-
-def _forget_matches(folder: Path) -> None:
-    """Clear the rows of match in the shared database."""
-    import_module("tiegraph.pipeline.match").forget_matches(folder)
+            _module(stage.name)
 
 
 def _stage(name: str, *what: Any, **more: Any) -> Stage:
@@ -63,7 +67,8 @@ STAGES = (
            uses=("features",), tuned=("features", "sfm")),
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=4, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=2,
-           changes=("database.db",), clear=_forget_matches, scratch=("database.db.match",), tuned=("features",)),
+           changes=("database.db",), clear=lambda folder: _module("match").forget_matches(folder),
+           scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=5),
     _stage("sparse", ("preview", "coarse", "network", "match", "filter"), ("sparse",), version=31,
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),

@@ -165,7 +165,7 @@ def _sigma(model: pycolmap.Reconstruction, block: Block) -> np.ndarray:
         return out
     try:
         found = position_sigma(model, tuning=block.run.settings.tuning.sfm)
-    except (ValueError, RuntimeError, np.linalg.LinAlgError):
+    except (ValueError, RuntimeError):  # of an inverse too
         return out
     of_frame = dict(zip(found.frame_ids, np.linalg.norm(found.sigma, axis=1)))
     for k, image in registered_images(model, block.scene):
@@ -191,7 +191,6 @@ def judged(block: Block, name: str, stages: tuple[Stage, ...], notes: list[str])
 
 
 def _reference(block: Block) -> tuple[Reference, str]:
-    """Camera positions and their accuracy."""
     settings, tuning = block.run.settings.evaluate, block.run.settings.tuning.evaluate.trajectory
     if settings.reference is not None:
         centres = reference_places(read_reference_poses(settings.reference), checked(block.run), tuning.max_gap_s)

@@ -35,8 +35,8 @@ from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
+from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import write_atomic
-from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scan.assign import Report, usable_images
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.frames import match_frames
@@ -242,7 +242,6 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
 
 
 def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
-    """The corners in one image."""
     found = opened(file.path.read_bytes(), file.path.suffix)
     pixels = eight_bit(found.pixels(), file.levels)
     grey = pixels if pixels.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2GRAY)
@@ -298,7 +297,6 @@ def check_wide(wide: Sequence[str], cameras: Sequence[str]) -> None:
 
 
 def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
-    """The rig with its sigmas and roles."""
     sensors = []
     for k, (images, camera) in enumerate(zip(done.seen.cameras, done.state.cameras)):
         turn, place = rig_sigmas(verdict.precision, k) if k else (None, None)

@@ -1,32 +1,41 @@
-"""Glue of dense: a depth map for every image."""
+"""Glue of dense and cloud: a depth map for every image, all of them fused; undistorted images for colours."""
 
 import json
 import logging
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import Consistency, confirmed_map, depth_map
 from tiegraph.dense.engine import installed, matched_by, most_volume_bytes
-from tiegraph.dense.plan import DensePlan, ImagePlan, plan_images
+from tiegraph.dense.plan import CameraModel, DensePlan, ImagePlan, ViewPlan, plan_images
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_hanging
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view, pinhole, write_workspace
 from tiegraph.errors import InputError, ReconstructionError, TiegraphError
+from tiegraph.evaluate.accuracy import in_layers
+from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import explained
-from tiegraph.pipeline.files import FINAL, load_json, load_map, load_model, whole
+from tiegraph.pipeline.files import CLOUD, FINAL, load_json, load_map, load_model, placement_error, whole, world_origin
+from tiegraph.pipeline.georef import stated
+from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
-from tiegraph.scene.atomic import remove
+from tiegraph.scene.atomic import remove, same_file
+from tiegraph.scene.cloudfile import write_ply
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.composed import carries
+from tiegraph.scene.copc import write_copc
 from tiegraph.scene.names import inside
-from tiegraph.scene.results import DepthMap, save_depth
+from tiegraph.scene.results import LAYERS, Cloud, DepthMap, save_depth
 
 _log = logging.getLogger(__name__)
 FIRST = ".first"  # depth maps before they are compared with each other; removed when the stage is done
@@ -133,8 +142,7 @@ def _known_pixels(name: str, folder: Path) -> int:
 def hand_over(run: Run, target: Path) -> int:
     """The depth maps as a dense workspace of COLMAP below ``target``; their number. Raises InputError for a folder that
     is not empty."""
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} exists and is not empty: give a new folder for the workspace")
+    must_be_empty(target)
     model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:
         return write_workspace(target, model, run.path("images"), load, run.settings.dense)
@@ -160,3 +168,94 @@ def read_depth(name: str, folder: Path) -> DepthMap:
 def _known_map(name: str, folder: Path, step: str = "") -> DepthMap | None:
     path = depth_path(folder, name, step)
     return load_map(path) if path.exists() else None
+
+
+def cloud(run: Run) -> Outcome:
+    """One cloud of all depth maps, tile by tile, as LAZ and PLY; and the agreement of two passes, if there are."""
+    from tiegraph.pipeline.clouds import write_agreement  # matplotlib, which no worker of this stage needs
+
+    plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
+    scratch = run.path(".tiles")
+    remove(scratch)
+    scratch.mkdir(parents=True)
+    colours = coloured(plans, run.path("images"), run.settings.dense)
+    maps = Maps(partial(read_depth, folder=run.folder), colours)
+    settings, tuning = run.settings.cloud, run.settings.tuning.cloud
+    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
+    sigmas = _sigmas(run, fused.clouds())
+    said = accuracy_said(run, sigmas)
+    notes = [*write_copc(fused.clouds, run.path(CLOUD), fused.voxel, scratch, said)]
+    same_file(run.path(CLOUD), run.path("cloud.laz"))
+    notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
+    agreement = write_agreement(run, scratch, fused.voxel, _mapper(run))
+    if agreement is not None and agreement.why_not:
+        notes.append(agreement.note())
+    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
+    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
+
+
+def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
+    """Median of the points' sigma, and median and 90th percentile of that in the world, if the model is placed: of
+    the matching, of the cameras inside the model and of the placement together."""
+    error, own, world = placement_error(run.folder), [], []
+    inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
+    for part in parts:
+        some = part.where(np.arange(0, len(part), 50))  # points of the cloud sampled for its sigma in the world
+        own.append(some.sigma_m)
+        if error is not None:
+            placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)
+            world.append(np.sqrt(placed**2 + inside**2 + np.nan_to_num(some.sigma_m) ** 2))
+    asked = {"sigma_median": (own, 50), "world_sigma_median": (world, 50), "world_sigma_p90": (world, 90)}
+    there = {name: (np.concatenate(found), share) for name, (found, share) in asked.items() if found}
+    known = {n: np.nanpercentile(v, share) for n, (v, share) in there.items() if np.isfinite(v).any()}
+    return {f"{name}_m": round(float(value), 4) for name, value in known.items()}
+
+
+def accuracy_said(run: Run, sigmas: Mapping[str, float]) -> str:
+    """The accuracy stated in the files of clouds and rasters: the predicted one, because nothing is measured yet."""
+    found = in_layers(stated(run, sigmas), ())
+    heads = {name: found.head(layer).predicted for layer, name in LAYERS.items()}
+    parts = [f"{name} {value:.3g} {found.unit}" for name, value in heads.items() if np.isfinite(value)]
+    how = f"one standard deviation; held in the world by {found.held_by}; what was measured stands in metrics.json"
+    return f"accuracy predicted: {', '.join(parts)} ({how})" if parts else ""
+
+
+def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:
+    def apply(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
+        run.reporter.total(len(items))
+        return run.map(function, items)
+
+    return apply
+
+
+_SHARP = 20_000  # longest side of an undistorted image: as large as they come
+
+
+def plans_of(run: Run) -> list[ViewPlan]:
+    """The images of the model in the world, by name."""
+    images = load_model(run.path("sparse", "world")).images.values()
+    there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
+    return [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """Where the pixels of the images come from: at their own resolution, undistorted."""
+
+    folder: Path
+    plans: Sequence[ViewPlan]
+    sharp: DenseSettings
+
+    @staticmethod
+    def of(run: Run, plans: Sequence[ViewPlan]) -> "Pictures":
+        """Those of a run."""
+        return Pictures(run.folder, plans, run.settings.dense.model_copy(update={"max_image_size": _SHARP}))
+
+    def cameras(self) -> list[Pinhole]:
+        """The undistorted cameras, without reading an image."""
+        return [pinhole(p, self.sharp) for p in self.plans]
+
+    def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
+        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
+        return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask

@@ -1,8 +1,6 @@
 """Glue of design: which of the candidate pairs are matched."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,8 +19,8 @@ from tiegraph.design.design import METHODS, DesignResult, takes_all, with_covera
 from tiegraph.design.design import design as select_pairs
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
+from tiegraph.pipeline.features import preview_of, previews_of, with_previews
 from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
-from tiegraph.pipeline.preview import preview_of, previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import cached_by_file
@@ -39,11 +37,10 @@ def design(run: Run) -> Outcome:
     settings, tuning = run.settings, run.settings.tuning
     ties, previews, method = known, 0, settings.design.method
     if not takes_all(candidates, scene, settings.design, tuning.design):  # a choice needs previews
-        how = run.folder, settings.preview, tuning.features.preview, run.map
-        candidates, ties, previews = with_previews(candidates, known, *how)
+        candidates, ties, previews = with_previews(run, candidates, known)
     papers.plug_in(papers.DESIGNS, method, METHODS)
     if method in papers.DESIGNS:  # a paper's method uses an accuracy of its own
-        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
+        candidates = with_accuracy(run, candidates, scene, ties)
     made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run))
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
@@ -99,28 +96,22 @@ def surface_of(run: Run) -> CoveredSurface | None:
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:
     """The design with its weak links, and their previews: chosen pairs across places with few points are previewed
     first, because only some of the candidates have been."""
-    settings, tuning = run.settings.preview, run.settings.tuning
+    tuning = run.settings.tuning
     weak = on_few_points(made.pairs, scene, ties, tuning.design)
     unknown = unknown_across(made.pairs, scene, ties, weak)
     if unknown.any():
-        ties = ties | previews_of(made.pairs.where(unknown), run.folder, settings, tuning.features.preview, run.map)
+        ties = ties | previews_of(run, made.pairs.where(unknown))
         weak = on_few_points(made.pairs, scene, ties, tuning.design)
     return with_coverage(made, coverage(made.pairs, scene, weak)), ties
 
 
-def with_accuracy(
-    pairs: Pairs,
-    scene: Scene,
-    ties: PreviewMatches,
-    folder: Path,
-    run_map: Callable[..., list[Any]],
-    tuning: TwoViewTuning,
-) -> Pairs:
+def with_accuracy(run: Run, pairs: Pairs, scene: Scene, ties: PreviewMatches) -> Pairs:
     """The pairs with ``sigma_m`` (how far the adjustment moves the base) and ``h_over_b`` of those that were previewed.
 
     The base between two frames of a pass is as long as their numbers are apart (002, 2.3), else one: lengths are in
-    frames, not metres. ``run_map``: map over a pool.
+    frames, not metres.
     """
+    tuning = run.settings.tuning.sfm.two_view
     unknown = np.full(len(pairs), np.nan)  # values of the coarse model are none of the paper's
     pairs = pairs.with_(sigma_m=unknown, h_over_b=unknown)
     row = ties.find(pairs.i, pairs.j)
@@ -129,7 +120,7 @@ def with_accuracy(
     matches = np.where(row >= 0, ties.counts()[row], 0)
     usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))
     items = [((int(pairs.i[k]), int(pairs.j[k])), ties.of(int(row[k]))) for k in usable]
-    found: list[tuple[float, float] | None] = run_map(_two_view_item, items, folder, tuning)
+    found: list[tuple[float, float] | None] = run.map(_two_view_item, items, run.folder, tuning)
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
     apart = np.abs(scene.sequence_index[frame_i] - scene.sequence_index[frame_j])

@@ -1,4 +1,4 @@
-"""Glue of evaluate: the result against references."""
+"""Glue of evaluate and report: model and cloud against references; receipts and artefacts become one page."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -125,3 +125,21 @@ def _masks(run: Run, scene: Scene, settings: EvaluateSettings, tables: dict[str,
     tables["mask accuracy"] = found.table()
     few = f"{len(found.unfit)} reference masks are not compared, the first because: "
     return [few + found.unfit[0]] if found.unfit else []
+
+
+def report(run: Run) -> Outcome:
+    """One HTML page from receipts and artefacts, and from plan.json if the user put one into the run folder."""
+    from tiegraph.pipeline.plan import PLAN, compare  # the engines, which the other stage does not need
+    from tiegraph.report.formatting import Table
+    from tiegraph.report.html import write_report
+
+    planned, notes = None, []
+    if run.path(PLAN).is_file():
+        try:
+            found = compare(run.folder, None)
+            planned = Table(found.columns, found.rows, (False, True, True, True), title=found.title)
+            notes.append(f"planned and reached: {found.sentence}")
+        except InputError as error:
+            notes.append(str(error))
+    path = write_report(run.folder, run.settings.report, planned)
+    return Outcome({"bytes": path.stat().st_size}, notes=tuple(notes))

@@ -34,6 +34,7 @@ from tiegraph.pipeline.files import (
     world_origin,
     world_unit,
 )
+from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
@@ -67,7 +68,7 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     not on the Earth if the format needs that.
     """
     choose("export", name, dict.fromkeys(EXPORTERS))
-    _must_be_free(target)
+    must_be_empty(target)
     exporter = EXPORTERS[name]
     if camera and exporter.lens is not None:
         raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
@@ -92,7 +93,7 @@ def hand_out_e57(run: Run, target: Path) -> int:
 
     Raises EngineMissing without pye57, InputError for a folder that holds something and a full disk.
     """
-    _must_be_free(target)
+    must_be_empty(target)
     path, origin = run.path("cloud.laz"), world_origin(run.folder)
     with replacing(target.absolute()) as made:
         made.mkdir()
@@ -103,11 +104,6 @@ def hand_out_e57(run: Run, target: Path) -> int:
         write_atomic(made / OFFSET, json.dumps({**said, "crs_from_local": np.eye(4).tolist()}))
     run.reporter.say(f"opened by: CloudCompare, {target / 'cloud.e57'}")
     return count
-
-
-def _must_be_free(target: Path) -> None:
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} exists and is not empty: give a new folder")
 
 
 def _survey(run: Run) -> Survey:

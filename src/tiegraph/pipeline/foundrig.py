@@ -20,8 +20,8 @@ import pycolmap
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.pipeline.files import load_json, load_model, load_scene
 from tiegraph.project.folder import SETTINGS, check_format, names_run
-from tiegraph.project.receipts import Receipts
 from tiegraph.project.settings import Tunings, merged, read_settings
+from tiegraph.project.stages import Receipts
 from tiegraph.scan.prepare import crop_camera
 from tiegraph.scan.rigfiles.rigfaults import SIGMA_DEG, SIGMA_M, lens_fault
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
@@ -301,26 +301,16 @@ def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
 
 
 def _say_times(run: FoundRun, given: Rig) -> None:
-    if late := _late_ms(run, given):
-        told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items())
+    columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
+    if OFFSET not in columns:
+        return
+    at, names = columns.index(OFFSET), {s.name for s in given.sensors[1:]}
+    late = [f"{r[0]} {r[at]:+g} ms" for r in run.rows("rig diagnostics") if r[0] in names and r[at] is not None]
+    if late:
         run.said.append(
             f"{given.name}: the cameras do not fire at one instant, and each has a time offset in the model. Left "
-            f"out, because a rig file cannot contain it: {told}"
+            f"out, because a rig file cannot contain it: {', '.join(late)}"
         )
-
-
-def _late_ms(run: FoundRun, rig: Rig) -> dict[str, float]:
-    """Time offset of each camera to the first, milliseconds; {} if the run has none."""
-    columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
-    at = columns.index(OFFSET) if OFFSET in columns else -1
-    names = {s.name for s in rig.sensors[1:]}
-    rows = run.rows("rig diagnostics") if at >= 0 else []
-    return {r[0]: r[at] for r in rows if r[0] in names and r[at] is not None}
-
-
-def _with_scale(run: FoundRun, sigma_m: float, length_m: float) -> float:
-    """Sigma of a coordinate with that of the scale of all lengths."""
-    return float(np.hypot(sigma_m, length_m * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)))
 
 
 def _say_scale(run: FoundRun, rig: Rig) -> None:
@@ -351,7 +341,9 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
     for place, sensor in enumerate(found.sensors[1:], start=1):
         before = given.sensors[place]
         *xyz, sigma, turn = table[sensor.name][:5]
-        metres = _with_scale(run, scale * sigma / np.sqrt(3), scale * float(np.linalg.norm(xyz)))
+        # Of a coordinate, with the sigma of the scale of all lengths
+        by_scale = scale * float(np.linalg.norm(xyz)) * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)
+        metres = float(np.hypot(scale * sigma / np.sqrt(3), by_scale))
         sigma_deg, sigma_m = min(turn / np.sqrt(3), SIGMA_DEG[1]), min(metres, SIGMA_M[1])  # of an axis, a coordinate
         looks = [s.sensor_from_rig[:3, :3] for s in (sensor, before) if s.sensor_from_rig is not None]
         if len(looks) == 2 and np.allclose(*looks, rtol=0, atol=1e-12):  # exactly as given

@@ -225,7 +225,6 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
 
 
 def _hold(run: Run, world: dict) -> Hold:
-    """The control of the model in the world."""
     scene = checked(run)
     if not world["placed"]:
         return Hold(frames=scene.frames)

@@ -3,7 +3,6 @@
 The results are in a folder of their own; ``evaluate`` takes rig and map.laz from there as references of a run.
 """
 
-import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,11 +28,10 @@ from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_cloud, load_json, load_model, load_scene, world_origin
-from tiegraph.project.folder import check_format
+from tiegraph.project.folder import check_format, must_be_empty
 from tiegraph.project.progress import Reporter
-from tiegraph.project.receipts import Receipts
-from tiegraph.project.stages import save_json
-from tiegraph.project.verbtunings import VerbTunings
+from tiegraph.project.settings import VerbTunings
+from tiegraph.project.stages import Receipts, save_json
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource
 from tiegraph.scene.cloudfile import write_cloud
@@ -111,8 +109,7 @@ def lidar(
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     tuning = tunings.lidar
-    if os.path.lexists(out) and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"-o {out}: exists already: give a new or an empty folder")
+    must_be_empty(out, "-o")
     beside = None if settings.run is None else SurveyRun.read(settings.run, tunings.scene.registered)
     given = _given(settings)
     how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)

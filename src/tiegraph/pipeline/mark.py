@@ -116,7 +116,6 @@ class Marking:
         self.written = _digest(self.target)
 
     def _found(self) -> list[Target]:
-        """The points in the model by their marks."""
         count, rows = len(self.file.points), sorted(self.marks)
         if self.model is None:
             nowhere = Target(

@@ -13,7 +13,7 @@ import rasterio
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, world_from_geodetic
 from tiegraph.pipeline.files import load_json, placement_error, reading, world_origin, world_unit
-from tiegraph.pipeline.surfaces import FOLDER
+from tiegraph.pipeline.terrain import FOLDER
 from tiegraph.products.raster import read_window
 from tiegraph.products.surface import MAP, Window
 from tiegraph.products.tuning import VolumeTuning
@@ -241,8 +241,10 @@ def _measured(
     patch = _patch(map_, surface, window, step)
     known = _known(map_, polygon)
     ground = _ground(map_, window, step)
-    under = _other_surface(patch, polygon, maps, surface) or _base(base, patch, map_.shift[2])
-    if under is None:
+    under, height = _other_surface(patch, polygon, maps, surface), _height(base)
+    if under is None and height is not None:
+        under = level(patch, height - map_.shift[2], f"level at {height:.3f}")
+    elif under is None:
         under = (plane if base == "plane" else lowest)(ground, polygon, known, tuning)
     area = patch.share(polygon)
     seen = float(area[np.isfinite(patch.w - under.w)].sum() / area.sum())
@@ -316,19 +318,10 @@ def _other_surface(
     at = other.pixels(np.stack([east.ravel(), north.ravel()], axis=-1) + map_.shift[:2])
     w, sigma = (sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in (surface, _sigma(surface)))
     theirs = replace(patch, w=w - map_.shift[2], sigma=sigma)
-    return epoch(theirs, _moved_to(_known(other, polygon), other.shift - map_.shift), f"{surface} of {other.folder}")
-
-
-def _base(base: str, patch: Patch, shift: float) -> Base | None:
-    height = _height(base)
-    return None if height is None else level(patch, height - shift, f"level at {height:.3f}")
-
-
-def _moved_to(known: Known, shift: np.ndarray) -> Known:
-    """Of another survey's world in ours."""
-    if known.placed is None:
-        return known
-    return replace(known, placed=replace(known.placed, middle=known.placed.middle + shift))
+    known = _known(other, polygon)
+    if known.placed is not None:  # in our world
+        known = replace(known, placed=replace(known.placed, middle=known.placed.middle + other.shift - map_.shift))
+    return epoch(theirs, known, f"{surface} of {other.folder}")
 
 
 def said(found: dict[str, Any]) -> str:

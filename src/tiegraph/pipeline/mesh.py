@@ -34,10 +34,8 @@ from tiegraph.mesh.texture import (
 )
 from tiegraph.mesh.tuning import Tuning
 from tiegraph.mesh.views import UNSEEN, Seen, View, chosen, seen_by, without_bubbles
-from tiegraph.pipeline.cloud import accuracy_said
-from tiegraph.pipeline.dense import depth_path, read_depth
+from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
 from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz, world_origin, world_unit
-from tiegraph.pipeline.pictures import Pictures, plans_of
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import replacing, scratch_folder
@@ -84,7 +82,6 @@ def _each(run: Run, items: list[int], path: Callable[[int], Path], make: Callabl
 
 
 def _make_surface(run: Run, work: "_Work") -> None:
-    """The triangles near the points, without textures."""
     with reading(run.path(CLOUD)):
         cloud = copc_sample(run.path(CLOUD), world_origin(run.folder), _READ)
     if not len(cloud):
@@ -109,27 +106,21 @@ class _Work:
     tuning: Tuning
 
     def path(self, kind: str, k: int | None = None) -> Path:
-        """Where a finished part is until all are."""
         return self.folder / FOLDER / SCRATCH / (f"{kind}.npz" if k is None else f"{kind}_{k}.npz")
 
     def texture(self, k: int) -> Path:
-        """Where a texture is."""
         return self.folder / FOLDER / f"texture{k}.jpg"
 
     def layout(self) -> Layout:
-        """Where patches are on the textures."""
         return load_as(self.path("layout"), Layout.from_npz)
 
     def nodes(self) -> Nodes:
-        """Whose colours are levelled."""
         return load_as(self.path("nodes"), Nodes.from_npz)
 
     def mesh(self, kind: str = "mesh") -> Mesh:
-        """The triangles."""
         return Mesh(**load_npz(self.path(kind)))
 
     def make_view(self, k: int) -> None:
-        """What an image sees of the surface."""
         name = self.views[k].name
         own = read_depth(name, self.folder) if depth_path(self.folder, name).exists() else None
         mask = self.pictures.picture(k)[1]
@@ -180,7 +171,6 @@ class _Work:
         save_npz(self.path("levels"), change=change.astype(np.float32), rgb=rgb)
 
     def make_texture(self, page: int) -> None:
-        """A texture of the patches that are on it."""
         layout, nodes, whole, levels = self.layout(), self.nodes(), self.mesh(), load_npz(self.path("levels"))
         place, texture = places(whole, layout, self.views)
         width, height = layout.pages[page]

@@ -1,10 +1,196 @@
-"""Glue of network: the final candidate pairs, with sections and pictures."""
+"""Glue of the engine ``network``: which images may tie (candidates), a model of the survey made of previews and the
+pairs by it (coarse), the final candidate pairs with sections and pictures (network).
 
+For the coarse model the engine ``network`` chooses the ties to map and the trusted parts of the models; the engine
+``sfm`` maps them, block by block. A finished block is kept until the stage is done, under a key of its images and ties:
+a killed stage continues with the next block, and a try whose ties changed in one block maps only that one again.
+"""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pycolmap
+
+from tiegraph import papers
+from tiegraph.errors import ReconstructionError
+from tiegraph.features.preview import write_preview_database
+from tiegraph.network.candidates import find_candidates
+from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
+from tiegraph.network.coarse.model import CoarseModel, with_surface
+from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.network import join_network, with_bases
-from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of
-from tiegraph.pipeline.preview import up_light
+from tiegraph.network.offsets import OFFSETS, curves_csv
+from tiegraph.network.passes import MatchCache
+from tiegraph.pipeline.features import Matcher, read_preview, up_light
+from tiegraph.pipeline.files import load_as, load_npz, load_scene, pairs_of, save_npz, scanned, ties_of, visibility_of
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
+from tiegraph.scene.atomic import remove
+from tiegraph.scene.blocks import Block, blocks_of, in_one_piece
+from tiegraph.scene.colmapmodel import image_poses, model_rigs, tracks
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.settings import SparseSettings
+
+
+def candidates(run: Run) -> Outcome:
+    """Candidate pairs from every source, judged by previews; the order of passes and the rig checked by them."""
+    scene = scanned(run)
+    cache = MatchCache(Matcher(run, "candidates/matched"), len(scene))
+    settings, tuning = run.settings.candidates, run.settings.tuning.network
+    papers.plug_in(papers.OFFSETS, settings.offsets, OFFSETS)
+    found = find_candidates(scene, cache, settings, tuning, partial(_Descriptors, run.folder, scene))
+    save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
+    save_npz(run.path("candidates", "matches.npz"), **found.ties.to_npz())
+    write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
+    for name, picture in found.pictures():
+        write_atomic(run.path("candidates", f"{name}.png"), picture)
+    if found.curves:
+        write_atomic(run.path("candidates", "offsets.csv"), curves_csv(found.curves))
+    counts = {"previews": len(found.ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
+    return Outcome(counts, notes=found.notes)
+
+
+class _Descriptors(Sequence[np.ndarray]):
+    """Descriptors (K, 128) u1 of every image, read on demand: those of thousands of images would fill memory."""
+
+    def __init__(self, folder: Path, scene: Scene) -> None:
+        self._folder, self._names = folder, scene.names
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, image: Any) -> Any:
+        return read_preview(self._folder, self._names[image]).descriptors
+
+
+log = logging.getLogger(__name__)
+
+
+def coarse(run: Run) -> Outcome:
+    """The candidate pairs judged by a coarse model of the survey, if one is worth making and is trusted."""
+    pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
+    scene = load_scene(run.path("candidates", "scene.json"))
+    cache = MatchCache(Matcher(run, "coarse/matched"), len(scene), ties)
+    found = judged_by_model(run, (pairs, scene), cache)
+    save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
+    save_npz(run.path("coarse", "matches.npz"), **cache.matches().to_npz())
+    write_atomic(run.path("coarse", "scene.json"), found.scene.to_json())
+    counts = {"previews": len(cache) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
+    if found.model is not None:
+        poses, reach = found.model.cam_from_world, found.model.reach()
+        save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
+        save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
+        counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
+    return Outcome(counts, notes=found.notes)
+
+
+def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
+    """The surface seen by each image, by all tracks of the previews that the model trusts.
+
+    For a survey mapped in blocks by the tracks that placed its images: with all of 1200 images the design wanted 30
+    pairs an image, with these 8, which place them to 4 mm.
+    """
+    assert found.model is not None
+    tuning, model = run.settings.tuning, found.model
+    if in_one_piece(found.scene, tuning.scene.blocks):
+        kept, names = found.pairs.kept(), found.scene.names
+        believed = np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j))
+        model = with_surface(
+            model, ties.where(believed), lambda k: read_preview(run.folder, names[k]).xy, tuning.network.coarse.tracks
+        )
+    return model.visibility(tuning.network.coarse)
+
+
+def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache) -> Coarse:
+    """Candidate pairs of a scene judged by the best coarse model; unchanged if none is worth making."""
+    pairs, scene = candidates
+    settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
+    if not worth_a_model(*settings):
+        return Coarse(pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool))
+    search, mapper = Search(candidates, cache, settings, tuning.coarse), _Mapper(run, scene)
+    while (wanted := search.wanted()) is not None:
+        search.take(wanted, mapper.mapped(wanted))
+    return search.result()
+
+
+class _Mapper:
+    """Maps ties of a survey in blocks, which stay as they were cut the first time."""
+
+    def __init__(self, run: Run, scene: Scene) -> None:
+        self._run, self._scene = run, scene
+        self._blocks: tuple[Block, ...] = ()
+
+    def mapped(self, ties: PreviewMatches) -> Assembled:
+        """The models of all blocks, joined; none of no ties."""
+        if not len(ties):
+            return Assembled(())
+        run, scene, tuning = self._run, self._scene, self._run.settings.tuning
+        self._blocks = self._blocks or blocks_of(scene, ties.i, ties.j, ties.counts(), tuning.scene.blocks)
+        models = []
+        for number, block in enumerate(self._blocks):
+            run.reporter.total(len(self._blocks), number)
+            model = self._of_block(block, ties)
+            placed = 0 if model is None else int(model.placed().sum())
+            log.info("block %d of %d: %d of %d images", number + 1, len(self._blocks), placed, len(block))
+            models.append(model)
+        return assembled(scene, self._blocks, models, tuning.network.coarse, tuning.scene.joining)
+
+    def _of_block(self, block: Block, ties: PreviewMatches) -> CoarseModel | None:
+        """The model of a block: that of an earlier try, or of an interrupted run, if its ties are the same."""
+        whole = is_whole(self._blocks, self._scene)
+        part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
+        key = hashlib.blake2b(digest_size=8)
+        for array in (block.images, inside.i, inside.j, inside.start, inside.matches):
+            key.update(np.ascontiguousarray(array).tobytes())
+        kept = self._run.path("coarse/blocks", f"{key.hexdigest()}.npz")
+        if kept.exists():
+            return load_as(kept, lambda data: CoarseModel.from_npz(data) if data else None)
+        model = coarse_model(self._run, part, inside) if len(inside) else None
+        save_npz(kept, **({} if model is None else model.to_npz()))
+        return model
+
+
+def coarse_model(run: Run, scene: Scene, ties: PreviewMatches) -> CoarseModel | None:
+    """A rough model of a survey or of a block of it, made of previews: the longest tracks place the images well
+    enough to choose pairs and to start from. None if COLMAP finds none.
+
+    It is made with the defaults of the stage sparse, whatever its settings are: pairs and matches stay when the
+    final model is made with others. Its files are removed: the arrays contain the needed data.
+    """
+    folder = run.path("coarse/mapping")
+    remove(folder)
+    folder.mkdir(parents=True)
+    database = folder / "database.db"
+    previews = (read_preview(run.folder, name) for name in scene.names)  # one after another: bounds the memory
+    write_preview_database(database, scene, previews, ties, min_matches=1)
+    settings = SparseSettings(covariance_frames=0, use_positions=False)
+    try:
+        source, tuning = Source(database, None, rough=True), run.settings.tuning
+        made = reconstruct(source, folder, scene.measured(), settings, tuning.sfm, tuning.scene, run.log)
+        model = made.load(0)
+    except ReconstructionError as error:
+        log.warning("coarse model: %s", error)
+        return None
+    finally:
+        remove(folder)
+    cameras = {k: model.cameras[k] for k in model.cameras}
+    own = [cast(pycolmap.Camera, s.camera) for s in scene.all_sensors]  # the scan gave each sensor one
+    points, image, point = tracks(model, scene)
+    return CoarseModel(
+        cam_from_world=image_poses(model, scene),
+        cameras=tuple(cameras.get(int(key) + 1, own[int(key)]) for key in scene.sensor_key),
+        points=points,
+        image=image,
+        point=point,
+        rigs=model_rigs(model, scene),
+    )
 
 
 def network(run: Run) -> Outcome:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.transforms import quaternion_xyzw
 from tiegraph.odometry.cameras import Cameras, cameras_of
 from tiegraph.odometry.odometry import Odometry
@@ -18,7 +18,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scan.priors.priors import Followed
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scene.atomic import names_file
+from tiegraph.scene.atomic import must_be_new, names_file
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.posefile import FREE_UNIT
 from tiegraph.scene.scene import Scene
@@ -57,8 +57,7 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
     passes, made = _passes(scene), []
     targets = _files(out, list(passes))
     for path in (p for target in targets for p in (target, target.with_suffix(".csv"))):
-        if path.exists():
-            raise InputError(f"{path} exists already: give another -o, or remove it")
+        must_be_new(out, path)
     for (name, frames), target in zip(passes.items(), targets):
         started = time.perf_counter()
         with run.reporter.stage("odometry"):
@@ -100,7 +99,6 @@ def followed(run: Run, scene: Scene) -> tuple[Followed, tuple[str, ...]]:
 
 
 def _files(out: Path, names: Sequence[str]) -> list[Path]:
-    """The TUM file of each pass."""
     if len(names) == 1:
         return [out if out.suffix else out.with_suffix(".tum")]
     slugs = (name.lower().replace("/", "_").replace(" ", "_") for name in names)
@@ -190,7 +188,6 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
 
 
 def _told(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath) -> list[str]:
-    """A description of a path."""
     unit, posed = ("m" if path.metric else "units"), path.segment >= 0
     own = np.flatnonzero(path.segment == path.main())
     steps = np.linalg.norm(np.diff(path.world_from_rig[own, :3, 3], axis=0), axis=1)

@@ -82,6 +82,23 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     policy = _POLICY
 
+    def do_GET(self) -> None:
+        """What ``_answers`` has for the path: images and rasters go by their numbers in the query."""
+        if not self._allowed():
+            return
+        try:
+            asked = urlsplit(self.path)
+            answer = self._answers().get(asked.path)
+            if answer is None:
+                self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+            else:
+                answer({name: values[-1] for name, values in parse_qs(asked.query).items()})
+        except (KeyError, IndexError, ValueError, OverflowError, TiegraphError) as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+
+    def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
+        return {}
+
     def _allowed(self, changes: str = "") -> bool:
         """Whether a request comes from this page; ``changes``: the type of what it sends to change something."""
         hosts = self.server.hosts
@@ -145,17 +162,11 @@ class WatchServer(PageServer):
 class _WatchHandler(Handler):
     server: WatchServer
 
-    def do_GET(self) -> None:
-        """The page or the state."""
-        if not self._allowed():
-            return
-        asked = self.path.partition("?")[0]
-        if asked == "/":
-            self._send(page(None), HTML)
-        elif asked == "/state.json":
-            self._send(self.server.state, "application/json")
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+    def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
+        return {
+            "/": lambda _: self._send(page(None), HTML),
+            "/state.json": lambda _: self._send(self.server.state, "application/json"),
+        }
 
 
 class MarkServer(PageServer):
@@ -169,29 +180,18 @@ class MarkServer(PageServer):
 class _MarkHandler(Handler):
     server: MarkServer
 
-    def do_GET(self) -> None:
-        """The page, the state, an image or a part of one."""
-        if not self._allowed():
-            return
-        asked = urlsplit(self.path)
-        query = {name: values[-1] for name, values in parse_qs(asked.query).items()}
-        try:
-            if asked.path == "/":
-                self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), HTML)
-            elif asked.path == "/state":
-                with self.server.lock:
-                    self._json(self.server.session.state())
-            elif asked.path == "/image":
-                self._send(_whole(self._pixels(query), query), "image/jpeg")
-            elif asked.path == "/size":
-                height, width = self._pixels(query).shape[:2]
-                self._json({"width": width, "height": height})
-            elif asked.path == "/patch":
-                self._send(_patch(self._pixels(query), query), "image/png")
-            else:
-                self._refuse(HTTPStatus.NOT_FOUND, "no such page")
-        except (KeyError, ValueError, OverflowError) as error:
-            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+    def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
+        return {
+            "/": lambda _: self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), HTML),
+            "/state": lambda _: self._state(),
+            "/image": lambda q: self._send(_whole(self._pixels(q), q), "image/jpeg"),
+            "/size": lambda q: self._json(dict(zip(("height", "width"), self._pixels(q).shape))),
+            "/patch": lambda q: self._send(_patch(self._pixels(q), q), "image/png"),
+        }
+
+    def _state(self) -> None:
+        with self.server.lock:
+            self._json(self.server.session.state())
 
     def do_POST(self) -> None:
         """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
@@ -232,23 +232,7 @@ class _ViewHandler(Handler):
     server: ViewServer
     policy = _VIEW_POLICY
 
-    def do_GET(self) -> None:
-        """The page, its script, the cloud or a part of it, and what is asked of the run."""
-        if not self._allowed():
-            return
-        asked = urlsplit(self.path)
-        query = {name: values[-1] for name, values in parse_qs(asked.query).items()}
-        answer = self._answers().get(asked.path)
-        try:
-            if answer is None:
-                self._refuse(HTTPStatus.NOT_FOUND, "no such page")
-            else:
-                answer(query)
-        except (KeyError, IndexError, ValueError, OverflowError, TiegraphError) as error:
-            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
-
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
-        """All that there is, by path; images and rasters go by their numbers."""
         viewed, page = self.server.viewed, files("tiegraph.view")
         return {
             "/": lambda _: self._send(page.joinpath("page.html").read_bytes(), HTML),

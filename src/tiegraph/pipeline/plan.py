@@ -22,8 +22,8 @@ from tiegraph.plan.planner import Plan, Rigged, Table, comparison, frames_apart,
 from tiegraph.plan.request import CameraRequest, PlanRequest
 from tiegraph.plan.tuning import EffortTuning, ErrorTuning
 from tiegraph.project.run import Run
+from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import save_json, write_atomic
-from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.report.cloudview import viewer_data, viewer_script
 from tiegraph.report.html import environment
 from tiegraph.report.maps import Scenery, Track, frame_positions
@@ -121,7 +121,7 @@ def _propagate(
     shared = AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
     try:
         found = planned_sigma(model, free, not rigged.fixed, shared, tuning=tuning)
-    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+    except (ValueError, RuntimeError) as error:  # of an inverse too
         raise InputError(
             f"the network of this path cannot be adjusted ({error}): give more overlap or frames"
         ) from None

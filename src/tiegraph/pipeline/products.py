@@ -6,12 +6,9 @@ from typing import TypeVar
 import numpy as np
 
 from tiegraph.errors import ReconstructionError
-from tiegraph.pipeline.cloud import accuracy_said
-from tiegraph.pipeline.dense import depth_path, read_depth
+from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
 from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz, world_origin, world_unit
-from tiegraph.pipeline.pictures import Pictures, plans_of
-from tiegraph.pipeline.surfaces import OnSurface, Step
-from tiegraph.pipeline.terrain import TerrainWork, wanted
+from tiegraph.pipeline.terrain import OnSurface, Step, TerrainWork, wanted
 from tiegraph.products.heights import height_tile, margin
 from tiegraph.products.ortho import (
     Buffer,
@@ -84,7 +81,6 @@ class _Work(OnSurface):
     views: list[View]
 
     def steps(self) -> list[Step]:
-        """All steps, in their order."""
         windows, images = self.windows, list(range(len(self.views)))
         return [
             self.step(windows, "heights", self.make_heights, self.finish_heights, "dsm.jpg"),
@@ -95,7 +91,6 @@ class _Work(OnSurface):
     # --- heights ------------------------------------------------------------------------------------------------------
 
     def make_heights(self, window: Window) -> None:
-        """Heights and sigmas of a tile."""
         around = self.surface.box(window.grown(margin(self.tuning.heights)))
         with reading(self.folder / CLOUD):
             points = copc_box(self.folder / CLOUD, self.place.origin, *around)
@@ -130,7 +125,6 @@ class _Work(OnSurface):
         save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
 
     def finish_views(self) -> None:
-        """The gains that make the exposures equal."""
         patches = [self._kept(k, Patch, "") for k in range(len(self.views))]
         save_npz(self.scratch("gains", 0), gains=gains(patches))
 
@@ -143,7 +137,6 @@ class _Work(OnSurface):
     # --- colours ------------------------------------------------------------------------------------------------------
 
     def make_colours(self, window: Window) -> None:
-        """Colours and sources of a tile."""
         around = window.grown(ortho_margin(self.tuning.ortho))
         sigma = self.read("sigma", around)
         images = Images(
@@ -157,7 +150,6 @@ class _Work(OnSurface):
         save_npz(self.scratch("colours", window), ortho=rgba, source=source)
 
     def finish_colours(self) -> None:
-        """The orthophoto, and which image each pixel is of."""
         self.write("ortho", self.tiles("colours", "ortho"))
         write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), PICTURE_PX))
         rows = [(k, view.name) for k, view in enumerate(self.views, 1)]

@@ -147,7 +147,6 @@ class _Video:
 
     @property
     def name(self) -> str:
-        """Its name for messages."""
         return self.recording.name
 
 

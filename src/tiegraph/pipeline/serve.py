@@ -1,8 +1,15 @@
 """Glue of serving: one survey in the browser: its files arrive, a scan says what they are, a run is followed, stopped
-and gone on with. The run is a process of its own, the same that the terminal would start."""
+and gone on with. The run is a process of its own, the same that the terminal would start.
+
+The page is on the loopback, below an address that nobody can guess. Whoever does not know the token in the address
+learns nothing here, other users of the machine and other sites in the browser included; what changes something must
+also come from this very origin (``pages``). The cloud, once it is opened, is the page of ``tiegraph view``, which other
+users of the machine could open too.
+"""
 
 import json
 import os
+import secrets
 import shutil
 import signal
 import subprocess
@@ -10,20 +17,26 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from http import HTTPStatus
+from importlib.resources import files
+from io import BufferedIOBase
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
 from tiegraph.errors import InputError, SettingsError, TiegraphError
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import CLOUD
+from tiegraph.pipeline.pages import HTML, Handler, PageServer, ViewServer
 from tiegraph.pipeline.scan import describe
 from tiegraph.pipeline.view import Viewed, open_view
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import SETTING_OF, merged, read_file
+from tiegraph.project.stages import Receipts
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.names import inside
 from tiegraph.scene.scene import Scene
@@ -38,14 +51,9 @@ OPTIONS = {
     "start": True, "scan.crs": False, "scan.layout": False, "preset": False, "tolerance": False,
 }  # fmt: skip
 _ONLY_FILES = ("gnss", "times", "gcp", "marks", "start")
+_MOST_JSON = 1 << 16  # bytes of what the page asks for
+_KINDS = {".png": "image/png", ".jpg": "image/jpeg"}
 _PICTURES = ("candidates", "network", "coarse", "design", "products", "evaluate")
-
-
-class Readable(Protocol):
-    """What bytes are read from."""
-
-    def read(self, size: int, /) -> bytes:
-        """At most so many bytes; none at the end."""
 
 
 class Session:
@@ -61,7 +69,7 @@ class Session:
         self._stopped = False
         images.mkdir(parents=True, exist_ok=True)
 
-    def receive(self, name: str, source: Readable, length: int) -> bool:
+    def receive(self, name: str, source: BufferedIOBase, length: int) -> bool:
         """Write a file of so many bytes below the folder of images; False if the same is there already.
 
         Raises InputError for a name that leads elsewhere, for another file of that name, for a file that ends early and
@@ -143,21 +151,14 @@ class Session:
         """All that the page shows."""
         with self._lock:
             process, stages, lines = self._process, dict(self._stages), list(self._lines)
-        code = None if process is None else process.poll()
+        code, receipts = None if process is None else process.poll(), Receipts(self.out)
         return {
             "images": str(self.images), "out": str(self.out), "files": self._files(), "running": process is not None
             and code is None, "code": code, "stopped": self._stopped, "asked": self._asked, "lines": lines,
-            "stages": [{"stage": s.name, **_told(self._receipt(s.name) | stages.get(s.name, {}))} for s in STAGES],
+            "stages": [{"stage": s.name, **_told(receipts.read(s.name) | stages.get(s.name, {}))} for s in STAGES],
             "found": self._found(), "pictures": self.pictures(),
             **{n: (self.out / f).is_file() for n, f in (("report", "report.html"), ("cloud", CLOUD))},
         }  # fmt: skip
-
-    def _receipt(self, stage: str) -> dict[str, Any]:
-        """What a stage of this or an earlier run says of itself."""
-        try:
-            return dict(json.loads((self.out / "receipts" / f"{stage}.json").read_text()))
-        except (OSError, ValueError, TypeError):
-            return {}
 
     def viewed(self) -> Viewed:
         """The results as ``tiegraph view`` shows them. Raises InputError without a cloud."""
@@ -198,7 +199,6 @@ _TABLES = (
 
 
 def _told(event: dict[str, Any]) -> dict[str, Any]:
-    """What the page needs of the last event of a stage."""
     kind = {"started": "runs", "finished": "done", "skipped": "up to date", "lost": "nothing came of it"}
     numbers = {k.replace("_", " "): v for k, v in event.get("counts", {}).items() if isinstance(v, (int, float))}
     counts = ", ".join(f"{int(v)} {k}" if v == int(v) else f"{v:.3g} {k}" for k, v in numbers.items())
@@ -219,8 +219,7 @@ def _asked_before(images: Path, out: Path) -> dict[str, str]:
             for n, v in values.items() if v not in (None, "")}  # fmt: skip
 
 
-def _copy(source: Readable, length: int, write: Callable[[bytes], Any]) -> int:
-    """Bytes read and written, at most ``length``."""
+def _copy(source: BufferedIOBase, length: int, write: Callable[[bytes], Any]) -> int:
     done = 0
     while done < length and (part := source.read(min(_CHUNK, length - done))):
         write(part)
@@ -228,9 +227,109 @@ def _copy(source: Readable, length: int, write: Callable[[bytes], Any]) -> int:
     return done
 
 
-def _same(source: Readable, length: int, path: Path) -> bool:
+def _same(source: BufferedIOBase, length: int, path: Path) -> bool:
     """Whether so many bytes are those of a file."""
     differing: list[bytes] = []
     with open(path, "rb") as own:
         done = _copy(source, length, lambda part: own.read(len(part)) == part or differing.append(b""))
     return done == length and not differing
+
+
+class ServeServer(PageServer):
+    """Serves one survey."""
+
+    def __init__(self, session: Session, port: int = 0) -> None:
+        super().__init__(port, _ServeHandler)
+        self.session, self.token, self.lock = session, secrets.token_urlsafe(24), threading.Lock()
+        self._view: ViewServer | None = None
+
+    def view(self) -> str:
+        """Where the cloud is shown, with what the run has made so far. Raises InputError without one."""
+        with self.lock:
+            viewed = self.session.viewed()
+            if self._view is not None:
+                self._view.shutdown()
+                self._view.server_close()
+            self._view = ViewServer(viewed, 0)
+            threading.Thread(target=self._view.serve_forever, daemon=True, name="serve-view").start()
+            return self._view.url
+
+    @property
+    def url(self) -> str:
+        """Where the page is, with its token."""
+        return f"{super().url}{self.token}/"
+
+
+class _ServeHandler(Handler):
+    server: ServeServer
+
+    def _asked(self, changes: str = "") -> str | None:
+        """The path below the token, None if this request is refused; ``changes``: the type of what it sends."""
+        if not self._allowed(changes):
+            return None
+        path = unquote(urlsplit(self.path).path)
+        token, slash, rest = path.removeprefix("/").partition("/")
+        if not slash or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            self.close_connection = True
+            self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: open the one that the terminal shows")
+            return None
+        return rest
+
+    def do_GET(self) -> None:
+        path = self._asked()
+        session = self.server.session
+        if path is None:
+            return
+        if path == "":
+            self._send(files("tiegraph.pipeline").joinpath("serve.html").read_bytes(), HTML)
+        elif path == "state":
+            self._json(session.state())
+        elif path == "report.html" and (session.out / path).is_file():
+            self._send((session.out / path).read_bytes(), HTML)
+        elif path in session.pictures():
+            target = session.out / path
+            self._send(target.read_bytes(), _KINDS[target.suffix])
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+
+    def do_PUT(self) -> None:
+        """A file of the survey, files/<its path below the folder of images>."""
+        path = self._asked("application/octet-stream")
+        length = self.headers.get("Content-Length", "")
+        if path is None:
+            return
+        self.close_connection = True  # of what is refused the rest is not read
+        if not path.startswith("files/") or not length.isdigit():
+            self._refuse(HTTPStatus.BAD_REQUEST, "not a file with its length")
+            return
+        try:
+            new = self.server.session.receive(path.removeprefix("files/"), self.rfile, int(length))
+        except (TiegraphError, OSError) as error:
+            self._refuse(HTTPStatus.CONFLICT, str(error))
+            return
+        self._json({"new": new})
+
+    def do_POST(self) -> None:
+        """Start ({"options": {...}, "until": stage or null}) or stop the run: the state that follows; or show the
+        cloud: where that is."""
+        path = self._asked("application/json")
+        length = self.headers.get("Content-Length", "")
+        if path is None:
+            return
+        if path not in ("start", "stop", "view") or not length.isdigit() or int(length) > _MOST_JSON:
+            self.close_connection = True
+            self._refuse(HTTPStatus.BAD_REQUEST, "neither start, stop nor view")
+            return
+        try:
+            data = json.loads(self.rfile.read(int(length)) or b"{}")
+            if path == "view":
+                self._json({"url": self.server.view()})
+                return
+            if path == "stop":
+                self.server.session.stop()
+            else:
+                options = {str(k): str(v) for k, v in dict(data.get("options", {})).items()}
+                self.server.session.start(options, "scan" if data.get("until") == "scan" else None)
+            self._json(self.server.session.state())
+        except (TypeError, ValueError, AttributeError, TiegraphError) as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))

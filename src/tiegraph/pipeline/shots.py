@@ -17,6 +17,7 @@ from tiegraph.dense.shot import Seen, ShotScale, depth_range, in_camera, plan_sh
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.pipeline.dense import coloured
 from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit
+from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome
@@ -77,15 +78,12 @@ def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
 
 @dataclass(frozen=True)
 class _Shot:
-    """One shot: the file of its cloud, its images, and the depths to search."""
-
     cloud: Path
     views: list[ViewPlan]
     depths: DepthRange
 
 
 def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
-    """Depth maps and cloud of one shot."""
     path = item.cloud
     dense, tuning, images = settings.dense, settings.tuning.dense, folder / "images"
     plan = plan_shot(item.views, item.depths, dense, tuning)
@@ -127,8 +125,7 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
             f"--posed {folder}: {run.folder} has no poses in the world yet: "
             f"`{command('run', 'IMAGES', '-o', run.folder, '--rig', 'RIG', '--until', 'georef')}` makes them"
         )
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--posed {folder} exists already: give a new folder")
+    must_be_empty(folder, "--posed")
     model = load_model(run.path("sparse", "world"))
     poses = np.where(carries(scene)[:, None, None], image_poses(model, scene), np.nan)
     unit, said = 1.0, ""
@@ -154,7 +151,6 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
 
 
 def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -> list[Path]:
-    """The clouds of the frames that have a pose."""
     origin, written = world_origin(run.folder), []
     for frame, pose in poses.items():
         if not np.isfinite(pose).all():

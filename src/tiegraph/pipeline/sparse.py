@@ -1,8 +1,13 @@
-"""Glue of sparse: from verified matches to models."""
+"""Glue of filter and sparse: matched pairs that contradict the coarse model or loops are refused, the others mapped."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
+from tiegraph.filter.filter import Prior, filter_pairs
 from tiegraph.geometry import transforms
+from tiegraph.pipeline.features import dim_images
 from tiegraph.pipeline.files import (
     checked,
     load_model,
@@ -12,7 +17,6 @@ from tiegraph.pipeline.files import (
     save_npz,
     trusted_poses,
 )
-from tiegraph.pipeline.preview import dim_images
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scan.priors.startmodel import read_start
@@ -21,6 +25,24 @@ from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.shape import SHAPE
 from tiegraph.sfm.start import check_start, start_told
+
+
+def filter(run: Run) -> Outcome:
+    """Pairs whose matches agree with the coarse model or with loops; the database of `match` stays unchanged."""
+    done = [0]
+
+    def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+        run.reporter.total(done[0] + len(items), done[0])
+        done[0] += len(items)
+        return run.map(function, items, *args)
+
+    scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.filter
+    tuning = run.settings.tuning.filter
+    known = trusted_poses(run.folder)
+    prior = None if known is None else Prior(*known)
+    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, prior)
+    save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided)
+    return Outcome(found.counts, notes=found.notes, tables=found.tables)
 
 
 def sparse(run: Run) -> Outcome:
@@ -78,7 +100,6 @@ def sparse(run: Run) -> Outcome:
 
 
 def _against_start(run: Run) -> Outcome:
-    """Comparison of the largest model with the start model."""
     if run.inputs.start is None:
         return Outcome({})
     scene, start = load_scene(run.path("scene.json")), read_start(run.inputs.start)

@@ -17,8 +17,8 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.pipeline.clouds import new_folder
 from tiegraph.project.progress import Reporter
+from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import save_json
-from tiegraph.project.verbtunings import VerbTunings
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
 from tiegraph.scene.posefile import read_poses, write_tum
@@ -216,7 +216,6 @@ def _points(
 def _told_of(
     files: Sequence[Path], ready: Sequence[Station], joined: Joined, unfit: dict[str, str], bands: Sequence[Band]
 ) -> dict[str, Any]:
-    """The content of stations.json on clouds, pairs and precision."""
     number = {s.name: k for k, s in enumerate(ready)}
     loops = {(p.first, p.second): row for p, row in zip(joined.believed, joined.loop_m)}
 

@@ -28,7 +28,7 @@ from tiegraph.pipeline.files import (
     world_unit,
 )
 from tiegraph.pipeline.georef import stated
-from tiegraph.pipeline.surfaces import FOLDER
+from tiegraph.pipeline.terrain import FOLDER
 from tiegraph.products.raster import hillshade
 from tiegraph.products.surface import MAP, NODATA
 from tiegraph.project.folder import check_format

@@ -21,11 +21,11 @@ from tiegraph.child import end_helpers
 from tiegraph.design.coverage import VERDICTS
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.features import preview_of, preview_path
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.pipeline.pages import WatchServer
-from tiegraph.pipeline.preview import preview_of, preview_path
 from tiegraph.pipeline.watchmodel import (
     CoarseModels,
     Modelled,

@@ -22,9 +22,9 @@ from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.resect import resect
 from tiegraph.odometry.tuning import PoseTuning
-from tiegraph.pipeline.coarse import coarse_model
+from tiegraph.pipeline.features import preview_of, preview_path, read_preview
 from tiegraph.pipeline.files import read_image, save_npz
-from tiegraph.pipeline.preview import preview_of, preview_path, read_preview
+from tiegraph.pipeline.network import coarse_model
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
@@ -237,7 +237,6 @@ def shown_surface(models: CoarseModels, plan: np.ndarray, scale: float) -> dict[
 
 
 def _typical(surface: SurfaceMap, cells: np.ndarray, scale: float) -> dict[str, float | None]:
-    """Medians of some cells."""
     sigma = float(np.median(surface.sigma[cells])) * scale
     return {
         "images": float(np.median(surface.images[cells])),

@@ -13,9 +13,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
 from tiegraph.errors import InputError, UnreadableArtefact
-from tiegraph.project.receipts import (
+from tiegraph.project.stages import (
     Ledger,
+    Outcome,
     Receipts,
+    Stage,
     covered,
     digest_of,
     files_below,
@@ -25,7 +27,6 @@ from tiegraph.project.receipts import (
     take_away,
     trouble,
 )
-from tiegraph.project.stages import Outcome, Stage
 from tiegraph.scene.atomic import JOURNAL, is_temporary, remove
 from tiegraph.text import some
 

@@ -29,7 +29,7 @@ from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphEr
 from tiegraph.project import daskworker
 from tiegraph.project.pool import Place
 from tiegraph.project.progress import Elsewhere
-from tiegraph.project.receipts import software
+from tiegraph.project.stages import software
 
 log = logging.getLogger(__name__)
 

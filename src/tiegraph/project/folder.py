@@ -15,8 +15,7 @@ from typing import TextIO
 
 from tiegraph.errors import InputError
 from tiegraph.project.progress import LogFormatter
-from tiegraph.project.receipts import covered
-from tiegraph.project.stages import digest, read_object, write_atomic
+from tiegraph.project.stages import covered, digest, read_object, write_atomic
 from tiegraph.scene.atomic import MARK, TEMPORARIES, is_temporary, real_path, sweep
 from tiegraph.text import some
 
@@ -63,6 +62,12 @@ def check_folder(folder: Path) -> None:
         f"-o {folder} contains files that tiegraph did not make ({some(there, 3)}): give a new or empty folder for the "
         f"results, such as {folder / 'tiegraph_out'}"
     )
+
+
+def must_be_empty(folder: Path, option: str = "") -> None:
+    """Raise InputError for a folder of results, given by an ``option``, that holds something or is no folder."""
+    if os.path.lexists(folder) and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{option} {folder} exists already and is not empty: give a new folder".strip())
 
 
 def check_format(folder: Path) -> None:

@@ -19,10 +19,9 @@ from typing import Any
 
 from tiegraph.errors import InputError
 from tiegraph.project.folder import names_run
-from tiegraph.project.receipts import digests
 from tiegraph.project.settings import Settings, sections, shortened
 from tiegraph.project.stages import PLACE as SOURCE_PLACE
-from tiegraph.project.stages import write_atomic
+from tiegraph.project.stages import digests, write_atomic
 from tiegraph.scene.atomic import names_file, regular
 from tiegraph.scene.bags import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched

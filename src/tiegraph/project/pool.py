@@ -112,7 +112,6 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
 
 
 def _begin(threads: int) -> None:
-    """The first step of a worker."""
     limit_threads(threads)
     keep_memory()
 

@@ -18,8 +18,7 @@ from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs, Stamps
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
-from tiegraph.project.receipts import Receipts, software
-from tiegraph.project.stages import Stage, engines, key_parts, needed, stage_keys
+from tiegraph.project.stages import Receipts, Stage, engines, key_parts, needed, software, stage_keys
 from tiegraph.scene.bags import source_of
 
 log = logging.getLogger("tiegraph")

@@ -11,6 +11,7 @@ import tomli_w
 from pydantic import Field, ValidationError
 
 from tiegraph import papers
+from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.settings import DenseSettings, ShotsSettings
@@ -24,6 +25,7 @@ from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewS
 from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import Tuning as FilterTuning
+from tiegraph.lidar.tuning import Tuning as LidarTuning
 from tiegraph.masks.settings import MasksSettings, RefineSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.mesh.settings import MeshSettings
@@ -31,6 +33,7 @@ from tiegraph.mesh.tuning import Tuning as MeshTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.odometry.tuning import Tuning as OdometryTuning
+from tiegraph.plan.tuning import Tuning as PlanTuning
 from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.tuning import Tuning as ProductsTuning
 from tiegraph.report.settings import ReportSettings
@@ -41,7 +44,9 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.sfm.tuning import Tuning as SfmTuning
+from tiegraph.stations.tuning import Tuning as StationsTuning
 from tiegraph.targets.tuning import Tuning as TargetsTuning
+from tiegraph.watch.tuning import Tuning as WatchTuning
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -273,6 +278,44 @@ def _meant(name: str, known: Iterable[str], mark: str = "") -> str:
     """The name that a wrong one probably means, else the known names."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"perhaps you meant {near[0]!r}{mark}" if near else f"known are {', '.join(known)}"
+
+
+class VerbTunings(Tunings):
+    """The constants of the stages, of which the verbs outside the pipeline use some, and the verbs' own: tables
+    ``[tuning.<engine>]`` of the file ``--tuning``, for they have no run folder."""
+
+    calibrate: CalibrateTuning = Field(default_factory=CalibrateTuning)
+    lidar: LidarTuning = Field(default_factory=LidarTuning)
+    plan: PlanTuning = Field(default_factory=PlanTuning)
+    stations: StationsTuning = Field(default_factory=StationsTuning)
+    watch: WatchTuning = Field(default_factory=WatchTuning)
+
+    def changed(self) -> dict[str, Any]:
+        """The differences from the defaults, by engine."""
+        return self.model_dump(mode="json", exclude_defaults=True)
+
+    def of_stages(self) -> dict[str, Any]:
+        """``changed`` of the engines of stages, for the settings of a run."""
+        return {engine: values for engine, values in self.changed().items() if engine in Tunings.model_fields}
+
+
+class _File(Section):
+    tuning: VerbTunings = Field(default_factory=VerbTunings)
+
+
+def read_tunings(path: Path | None) -> VerbTunings:
+    """The constants of a file; defaults for those it does not name, or without a file (None).
+
+    Raises SettingsError for a missing or invalid TOML file, for other tables, unknown names and wrong values.
+    """
+    if path is None:
+        return VerbTunings()
+    if not path.exists():
+        raise SettingsError(f"--tuning {path}: not there; give a file with tables such as [tuning.calibrate]")
+    try:
+        return _File.model_validate(read_file(path)).tuning
+    except ValidationError as error:
+        raise SettingsError(f"{path}: " + "; ".join(explain(e, _File) for e in error.errors())) from None
 
 
 # The settings of each preset; those of the papers are added when they are requested.

@@ -14,7 +14,6 @@ from tiegraph.report.formatting import Table, count, is_number
 from tiegraph.report.network import FEW_TIES, is_matched, tied, ties
 from tiegraph.report.parts import about, contradictions, section_name
 from tiegraph.report.runfolder import STAGES, RunFolder
-from tiegraph.report.summary import warnings, weak_placement
 from tiegraph.report.texts import capital, many, said, t
 from tiegraph.scene.colmapmodel import BY_RIG
 
