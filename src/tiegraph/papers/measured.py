@@ -35,10 +35,10 @@ class Stages:
         self.save()
         return result
 
-    def go_on(self, path: Path, last: str = "match") -> None:
-        """Take over the stages up to ``last`` of another run, whose JSON file is ``path``."""
+    def go_on(self, path: Path) -> None:
+        """Take over the stages up to the matching of another run, whose JSON file is ``path``."""
         rows = json.loads(path.read_text())["stages"]
-        self.data["stages"] = rows[: 1 + [row["stage"] for row in rows].index(last)]
+        self.data["stages"] = rows[: 1 + [row["stage"] for row in rows].index("match")]
 
     def end(self, reason: str = "") -> None:
         """The last word: done, or (``reason``) why there is nothing to show."""

@@ -57,10 +57,10 @@ def dots(points: np.ndarray, colour: str, size: float = 4.0) -> str:
     return f'<path d="{steps}" style="stroke:{colour};stroke-width:{size:g};stroke-linecap:round"/>' if steps else ""
 
 
-def box(x: float, y: float, width: float, height: float, colour: str, look: str = "") -> str:
+def box(x: float, y: float, width: float, height: float, colour: str) -> str:
     """A filled rectangle."""
     at = f'x="{x:.1f}" y="{y:.1f}" width="{max(width, 0):.1f}" height="{max(height, 0):.1f}"'
-    return f'<rect {at} style="fill:{colour}"{_class(look)}/>'
+    return f'<rect {at} style="fill:{colour}"/>'
 
 
 def picture(uri: str, left: float, width: float, height: float) -> str:
