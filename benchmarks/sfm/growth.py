@@ -30,11 +30,11 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.finish import finish_model
 from tiegraph.sfm.rigcheck import FinishRequest, Held
-from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper
+from tiegraph.sfm.run import Method, Request, RigsUsed, run_mapper
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import MatchSource
 
 STEP_M, POINTS_PER_M = 2.0, 30.0
 APART = (1, 2, 3, 4, 6, 9)  # frames: pairs that are matched
@@ -97,16 +97,15 @@ def run(images: int, torn: bool = False) -> dict[str, float]:
             rough[moved] = rough[moved] @ transforms.rigid(np.eye(3), -8 * ahead / np.linalg.norm(ahead))
         clock = [time.process_time()]
         request = Request(
-            method=Method("preview"), matches=Matches(folder / "database.db", LEAST), fixed=Fixed(), images=None,
-            folder=folder / "run", scene=scene.to_json(), rigs=Request.rigs_of({0: scene.rigs[0]}), positions=False,
-            poses=rough, tuning=Tuning(),
+            method=Method("preview", poses=rough), matches=MatchSource(folder / "database.db", least=LEAST),
+            rigs=RigsUsed((0,)), images=None, folder=folder / "run", scene=scene, tuning=Tuning(),
         )  # fmt: skip
         mapped = run_mapper(request, lambda frames: None)
         clock.append(time.process_time())
         if mapped.refused:
             raise SystemExit(mapped.refused)
         finish = FinishRequest(
-            folder=mapped.folders[0], target=folder / "0", scene=scene.to_json(), tuning=Tuning(), held=Held(rigs=(0,)),
+            folder=mapped.folders[0], target=folder / "0", scene=scene, tuning=Tuning(), held=Held({0: "refined"}),
             matched=MatchSource(folder / "database.db"),
         )  # fmt: skip
         finish_model(finish, lambda message: None)

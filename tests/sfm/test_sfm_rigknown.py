@@ -19,8 +19,8 @@ from tiegraph.scene.colmapmodel import model_rigs, rigid3d
 from tiegraph.scene.rig import SensorPair
 from tiegraph.sfm.adjustment import constraints, leverarmprior
 from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.constraints import rig_priors
 from tiegraph.sfm.adjustment.leverarmprior import _CentresCost, centres_of
-from tiegraph.sfm.adjustment.rigpriors import rig_priors
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning, RigPriorTuning, RigTuning
@@ -48,8 +48,8 @@ def test_modes() -> None:
     _, scene = moving_world(frames=4)
     assert rig_modes(_with_sigma(scene, 0.1, 0.01), "auto") == {0: "soft"}
     assert rig_modes(_with_sigma(scene, 0.0, 0.0), "auto") == {0: "refined"}  # no sigma, no calibration
-    assert held_by_mapper(_with_sigma(scene, 0.1, 0.01).rigs[0], "soft", RigTuning())
-    assert not held_by_mapper(_with_sigma(scene, 3.0, 0.01).rigs[0], "soft", RigTuning())
+    assert held_by_mapper(_with_sigma(scene, 0.1, 0.01), {0: "soft"}, RigTuning()) == (0,)
+    assert held_by_mapper(_with_sigma(scene, 3.0, 0.01), {0: "soft"}, RigTuning()) == ()
 
 
 @pytest.mark.slow
