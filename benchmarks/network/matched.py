@@ -186,7 +186,7 @@ class Tracks:
         index = np.repeat(np.arange(len(row)), 3)
         column = np.repeat(3 * track[:, None] + np.arange(3), 2, axis=0).ravel()
         by_point = csr_matrix((system.by_point[row].ravel(), (index, column)), shape=(len(row), 3 * count))
-        prior = system.layout.prior(self.model, Tuning().adjust)
+        prior = system.layout.prior(self.model, Tuning().adjust, {})
         normal = reduced(system.by_camera[row], by_point) / system.variance + prior
         variance = np.diag(positions_free_gauge(normal, system.layout)).reshape(-1, 3).sum(axis=1)
         return {**out, "rms": float(np.sqrt(variance.mean())), "median": float(np.sqrt(np.median(variance)))}

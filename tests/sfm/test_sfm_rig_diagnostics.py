@@ -135,7 +135,7 @@ def test_a_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told(
 def test_images_of_late_cameras_stand_where_they_were_and_know_how_well() -> None:
     """Six cameras that a lidar fires, over two drives: all images right to millimetres, and sigma and error agree."""
     stated, actual = [], []
-    for drive in (Drive(late_s=LATE_S, frames=16), Drive(late_s=LATE_S, gain=3.0, weave_deg=4.0)):
+    for drive in (Drive(late_s=LATE_S, frames=16), Drive(late_s=LATE_S, frames=16, gain=3.0, weave_deg=4.0)):
         mapped, scene = driving_world(drive)
         found = _checked(mapped, scene)
         late = np.array([found.late[k] for k in range(2, 7)])

@@ -175,8 +175,8 @@ def test_only_a_camera_that_ties_to_itself_alone_starts_from_where_its_rig_has_i
         for identity, pose in model.rig(1).non_ref_sensors.items():
             if identity.id == 6:
                 pose.translation = -pose.rotation.matrix() @ (expected + far)
-        assert not leverarmprior.bring_back(model, {1}, None, Tuning().adjust), "a rig that is fixed stays"
-        assert leverarmprior.bring_back(model, (), None, Tuning().adjust) == back
+        assert not leverarmprior.bring_back(model, {1}, {}, Tuning().adjust), "a rig that is fixed stays"
+        assert leverarmprior.bring_back(model, (), {}, Tuning().adjust) == back
         np.testing.assert_allclose(_centre(model), expected + (not back) * far, atol=1e-9)
 
 

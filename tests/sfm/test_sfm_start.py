@@ -121,7 +121,7 @@ def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: 
     nominal = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3] @ _turned(k), np.zeros(3)))
                for k, s in enumerate(scene.rigs[0].sensors)]  # fmt: skip
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(nominal), fixed=False, nominal=True),))
-    rig = rig_of_poses(given, 0, given.rigs[0], rough, TUNING.max_lever_off)
+    rig = rig_of_poses(given, 0, rough, TUNING.max_lever_off)
     for found, sensor in zip(rig.sensors, scene.rigs[0].sensors):
         np.testing.assert_allclose(found.sensor_from_rig[:3, :3], sensor.sensor_from_rig[:3, :3], atol=1e-9)
         np.testing.assert_allclose(found.sensor_from_rig[:3, 3], 0.2 * sensor.sensor_from_rig[:3, 3], atol=1e-9)
@@ -191,7 +191,7 @@ def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> 
                for s in scene.rigs[0].sensors]  # fmt: skip
     views = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(sensors)),))
     verified = read_verified(tmp_path / "database.db", views)
-    started = start_from(true, views, {0: views.rigs[0]}, (0,), verified, TUNING)
+    started = start_from(true, views, (0,), (0,), verified, TUNING)
     assert started is not None and started.notes == ()
     np.testing.assert_allclose(started.world_from_rig, frame_poses(true, scene), atol=1e-9)
 

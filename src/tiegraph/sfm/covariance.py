@@ -276,7 +276,6 @@ def _interior(
 
 
 def _mountings(layout: Layout, covariance: np.ndarray) -> dict[int, Mounting]:
-    """The cameras in their rig, by id."""
     out, variance = {}, np.clip(np.diag(covariance), 0, None)
     for key, column in layout.sensor.items():
         start = column - 6 * len(layout.frame_ids)

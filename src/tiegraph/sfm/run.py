@@ -92,9 +92,9 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
     request.folder.mkdir(parents=True)
     working = request.folder / "working.db"
     scene, method = request.scene, request.method
-    rigs = {k: scene.rigs[k] for k in request.rigs.given}
     if method.mapper == "preview":
-        return _from_poses(request, working, rigs, send)
+        return _from_poses(request, working, send)
+    rigs = {k: scene.rigs[k] for k in request.rigs.given}
     positions = request.tuning.world.fixes if method.positions else None
     seen = request.matches
     write_working_copy(seen.database, working, scene, rigs, positions, seen.refused, seen.only)
@@ -119,17 +119,17 @@ def _written(model: pycolmap.Reconstruction, folder: Path) -> Path:
     return folder
 
 
-def _from_poses(request: Request, working: Path, rigs: dict[int, Rig], send: Callable[[Any], None]) -> MappingResult:
+def _from_poses(request: Request, working: Path, send: Callable[[Any], None]) -> MappingResult:
     """One model from approximate poses, if it passes the acceptance test."""
     seen, scene, poses = request.matches, request.scene, request.method.poses
     assert poses is not None
     verified = seen.read(scene)
-    piece = largest_component(poses, scene, rigs, verified.pairs)
+    piece = largest_component(poses, scene, request.rigs.given, verified.pairs)
     poses = np.where(piece[:, None, None], poses, np.nan)
     placed = np.isfinite(poses).all(axis=(1, 2))
     if placed.sum() < request.tuning.mapping.clearly_fewer * piece.sum():
         return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} connected images")
-    start = start_from(poses, scene, rigs, request.rigs.held, verified, request.tuning.start)
+    start = start_from(poses, scene, request.rigs.given, request.rigs.held, verified, request.tuning.start)
     if start is None:
         return MappingResult(
             [], refused="neither matches nor positions determine the length of its path relative to the rig"

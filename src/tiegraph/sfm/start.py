@@ -18,7 +18,7 @@ relative to that part by more than the tuning allows, or is off by more than a s
 sees. World and unit of both models are free, so a model of another size agrees.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -149,18 +149,19 @@ class Start:
 def start_from(
     cam_from_world: np.ndarray,
     scene: Scene,
-    rigs: Mapping[int, Rig],
+    given: Collection[int],
     held: Collection[int],
     verified: VerifiedMatches,
     tuning: StartTuning,
 ) -> Start | None:
-    """A start from poses (N, 4, 4) of the images, NaN = unknown; ``held``: indices of rigs whose extrinsics stay.
+    """A start from poses (N, 4, 4) of the images, NaN = unknown, with the rigs ``given`` (indices), of which those
+    ``held`` keep their extrinsics.
 
     None if the length of the path relative to a held rig is unknown: the poses may come from a model that did not use
     the rig.
     """
-    most = tuning.max_lever_off
-    fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world, most) for k, rig in rigs.items()}
+    most, rigs = tuning.max_lever_off, scene.rigs
+    fitted = {k: rigs[k] if k in held else rig_of_poses(scene, k, cam_from_world, most) for k in given}
     scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
     frames = frame_poses(cam_from_world, scene)
     found = length_of_path(frames, scene, held, verified, tuning.scale)
@@ -192,13 +193,13 @@ def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection
     return label == largest
 
 
-def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
+def rig_of_poses(scene: Scene, index: int, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
     """The rig with the extrinsics of the poses, averaged over the frames; a sensor that no frame shows together with
     the reference keeps its own extrinsics, in the units of the others.
 
     ``max_lever_off``: largest relative deviation of the poses from a given lever arm; beyond it the given one stays.
     """
-    of = scene.rig[scene.frame] == index
+    rig, of = scene.rigs[index], scene.rig[scene.frame] == index
     known = of & np.isfinite(cam_from_world).all(axis=(1, 2))
     reference = np.full(scene.frames, -1)
     first = np.flatnonzero(known & (scene.sensor == 0))
@@ -215,11 +216,10 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray,
     sensors = [rig.sensors[0]]
     for place, given in enumerate(rig.scaled(found.units(rig)).sensors[1:], start=1):
         pose, own = shown.get(place, given.sensor_from_rig), given.sensor_from_rig
-        if (
-            pose is not None and own is not None
-        ):  # of a camera with few ties, as canal's up camera: three times too long
-            length = float(np.linalg.norm(own[:3, 3]))
-            if length > 0 and np.linalg.norm(pose[:3, 3] - own[:3, 3]) > max_lever_off * length:
+        length = 0.0 if own is None else float(np.linalg.norm(own[:3, 3]))
+        if pose is not None and own is not None and length > 0:
+            # A camera with few ties may be anywhere (canal's up camera: three times too far).
+            if np.linalg.norm(pose[:3, 3] - own[:3, 3]) > max_lever_off * length:
                 pose = transforms.rigid(pose[:3, :3], own[:3, 3])
         sensors.append(replace(given, sensor_from_rig=pose))
     return replace(rig, sensors=tuple(sensors))

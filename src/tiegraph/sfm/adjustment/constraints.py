@@ -11,7 +11,6 @@ import numpy as np
 import pyceres
 import pycolmap
 import pycolmap.cost_functions
-from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
@@ -170,20 +169,21 @@ class _PairCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
         self.set_num_residuals(2)
         self.set_parameter_block_sizes([7] * sum(free))
 
-    def _residuals(self, flat: np.ndarray) -> np.ndarray:
+    def _sigmas(self, flat: np.ndarray) -> np.ndarray:
         given = iter(flat.reshape(-1, 7))
         first, second = (next(given) if f else _IDENTITY for f in self.free)
-        return self.weight * pair_residuals(first, second, self.pair)
+        return pair_residuals(first, second, self.pair)
 
     def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
         """Residuals and their central differences; a Jacobian is None where its block is constant."""
         at = np.concatenate([np.array(p) for p in parameters])
-        residuals[:] = self._residuals(at)
+        residuals[:] = self.weight * self._sigmas(at)
         if jacobians is not None:
-            slopes = np.mean([approx_fprime(at, self._residuals, sign * _STEP) for sign in (1, -1)], axis=0)
+            steps = _STEP * np.eye(len(at))
+            slopes = np.stack([(self._sigmas(at + s) - self._sigmas(at - s)) / (2 * _STEP) for s in steps], axis=1)
             for k, jacobian in enumerate(jacobians):
                 if jacobian is not None:
-                    jacobian[:] = slopes[:, 7 * k : 7 * k + 7].ravel()
+                    jacobian[:] = self.weight * slopes[:, 7 * k : 7 * k + 7].ravel()
         return True
 
 

@@ -53,7 +53,7 @@ class Layout:
         self,
         model: pycolmap.Reconstruction,
         tuning: AdjustTuning,
-        nominal: Mapping[int, leverarmprior.NominalGeometry] | None = None,
+        nominal: Mapping[int, leverarmprior.NominalGeometry],
     ) -> sparse.csr_matrix:
         """(C, C) information matrix of the priors of lenses and of places in a rig.
 
@@ -61,9 +61,7 @@ class Layout:
         """
         parts = []
         for rig_id in self.rigs:
-            keys, expected = leverarmprior.information(
-                model.rigs[rig_id], tuning.lever_arms, (nominal or {}).get(rig_id)
-            )
+            keys, expected = leverarmprior.information(model.rigs[rig_id], tuning.lever_arms, nominal.get(rig_id))
             parts.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
         for camera_id, column in self.camera.items():
             camera = model.camera(camera_id)

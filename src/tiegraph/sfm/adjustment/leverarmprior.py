@@ -109,7 +109,7 @@ def information(
 def bring_back(
     model: pycolmap.Reconstruction,
     fixed: Collection[int],
-    nominal: Mapping[int, NominalGeometry] | None,
+    nominal: Mapping[int, NominalGeometry],
     tuning: AdjustTuning,
 ) -> bool:
     """Move cameras that share hardly any point with others, and are far from their predicted place in the rig, to
@@ -121,7 +121,7 @@ def bring_back(
     """
     rules, there = tuning.lever_arms, False
     for rig_id, rig in model.rigs.items():
-        expected = {} if rig_id in fixed else expected_centres(rig, rules, (nominal or {}).get(rig_id))
+        expected = {} if rig_id in fixed else expected_centres(rig, rules, nominal.get(rig_id))
         for key, pose in _cameras(rig).items() if expected else ():
             if key not in expected:
                 continue
@@ -187,7 +187,7 @@ class _CentresCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
 
 
 def add_priors(
-    problem: Any, model: pycolmap.Reconstruction, nominal: Mapping[int, NominalGeometry] | None, tuning: AdjustTuning
+    problem: Any, model: pycolmap.Reconstruction, nominal: Mapping[int, NominalGeometry], tuning: AdjustTuning
 ) -> list[Any]:
     """Add the prior of each rig's geometry to the problem; keep the returned objects until it is solved. ``nominal``:
     geometry of rigs by rig id.
@@ -197,7 +197,7 @@ def add_priors(
     """
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():
-        keys, known = information(rig, tuning.lever_arms, (nominal or {}).get(rig_id))
+        keys, known = information(rig, tuning.lever_arms, nominal.get(rig_id))
         blocks = [pose.params for k, pose in _cameras(rig).items() if k in keys]
         unseen = [b for b in blocks if not problem.has_parameter_block(b)]
         if all(problem.is_parameter_block_constant(b) for b in blocks if problem.has_parameter_block(b)):
