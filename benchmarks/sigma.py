@@ -35,7 +35,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
-from tiegraph.sfm.adjustment.rigpriors import nominal_geometry
+from tiegraph.sfm.adjustment.constraints import nominal_geometry
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
@@ -107,7 +107,7 @@ def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | N
     out = {
         "set": name, "frames": len(ids), "points": model.num_points3D(), "pixel_sigma": round(sigma.pixel_sigma, 3),
         "position_m": _pair(fit.scale * _rms(sigma.sigma[rows]), fit.scale * _rms(off)),
-        "widened": round(sigma.shared.widened, 2), "cpu_s": round(cpu, 1),
+        "cpu_s": round(cpu, 1),
     }  # fmt: skip
     if sigma.covariance is not None:
         out |= modes(sigma.covariance, rows, off)
@@ -117,7 +117,7 @@ def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | N
         turned = fit.rotation @ np.swapaxes(here[:, :3, :3], 1, 2) @ true[:, :3, :3]
         angle = transforms.angle_deg(turned, np.broadcast_to(np.eye(3), turned.shape))
         out["attitude_deg"] = _pair(float(np.degrees(_rms(sigma.turn[rows]))), float(np.sqrt(np.mean(angle**2))))
-        out["lens_px"] = {str(f.camera): [round(f.rms_px, 3), round(f.reach_px)] for f in sigma.shared.lenses}
+        out["lens_px"] = {str(f.camera): [round(f.rms_px, 3), round(f.reach_px)] for f in sigma.lenses}
     out |= _points(name, model, sigma, dataset, fit)
     return {**out, **_with_truth(name, folder, dataset, second, out["position_m"])}
 

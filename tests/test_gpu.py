@@ -13,8 +13,11 @@ from tiegraph import gpu
 from tiegraph.features import matchblocks
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapmodel import repeatable
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm import run
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import MatchSource
 
 
 @pytest.fixture
@@ -99,9 +102,10 @@ def test_a_mapper_is_told_to_adjust_and_place_on_the_cpu(monkeypatch, tmp_path):
     told = []
     monkeypatch.setattr(pycolmap, "global_mapping", lambda database, images, out, options: told.append(options) or {})
     monkeypatch.setattr(run, "sizes", lambda database: (2, 2))
-    fixed, matches = run.Fixed(), run.Matches(tmp_path / "a.db", 15)
-    scene, tuning = "", Tuning()
-    request = run.Request(run.Method("global"), matches, fixed, None, tmp_path, scene, {}, False, tuning)
+    matches = MatchSource(tmp_path / "a.db", least=15)
+    rig = Rig("one", (Sensor("cam0"),))
+    scene, tuning = simple_scene(rig, ["a.jpg"], np.zeros(1, int), np.zeros(1, int)), Tuning()
+    request = run.Request(run.Method("global"), matches, run.RigsUsed(), None, tmp_path, scene, tuning)
     run._global(request, tmp_path / "a.db", tmp_path)
     assert not told[0].mapper.global_positioning.use_gpu and not told[0].mapper.bundle_adjustment.ceres.use_gpu
     assert not run._options(request, True).ba_use_gpu

@@ -24,15 +24,13 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.consistency import MatchSource
-from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import finish_model
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
+from tiegraph.sfm.rig.rig import rig_modes, ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import MatchSource, ViewGraph
 
 
 def main() -> None:
@@ -72,15 +70,9 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
         folder=folder / "sparse" / "0",
         target=scratch / "finished",
         images=folder / "images",
-        scene=scene.to_json(),
+        scene=scene,
         tuning=Tuning(),
-        held=Held(
-            rigs=tuple(modes),
-            fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
-            soft=tuple(k for k, mode in modes.items() if mode == "soft"),
-            unsupported=alone,
-            cameras=constant,
-        ),
+        held=Held(modes=modes, unsupported=alone, cameras=constant),
         matched=MatchSource(folder / "database.db", (*refused, *ties_of(scene, graph, alone))),
     )
 

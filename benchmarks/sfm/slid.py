@@ -38,18 +38,16 @@ from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm.consistency import MatchSource, explained
-from tiegraph.sfm.database import ViewGraph, write_working_copy
 from tiegraph.sfm.mapper import Source
-from tiegraph.sfm.mapping import Account, Job, RigsUsed, _request
+from tiegraph.sfm.mapping import Account, Job, _request
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.placement import leave_out_doubtful
+from tiegraph.sfm.placement import explained, leave_out_doubtful
 from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.run import Request, _options, _triangulate, run_mapper
+from tiegraph.sfm.run import Request, _options, _triangulate, run_mapper, write_working_copy
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import Start, place_frames
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.verified import read_verified
+from tiegraph.sfm.verified import MatchSource, ViewGraph, read_verified
 
 WHAT, WHERE = ("frame", "section", "pass"), ("along", "across", "period")
 _STEPS, _PERIOD_M = (1.0, 2.0, 4.0), 8.0
@@ -124,7 +122,7 @@ class Run:
         job = Job(
             source, self.work, self.scene, settings, self.tuning, SceneTuning(), self.work / "log.txt",
             ViewGraph(source.database, self.scene, settings.min_matches, self.refused), Account(),
-            RigsUsed.known(self.scene, rig_modes(self.scene, settings.rig)),
+            {k: mode for k, mode in rig_modes(self.scene, settings.rig).items() if mode != "derived"},
         )  # fmt: skip
         return _request(job, "preview")
 
@@ -141,13 +139,13 @@ class Run:
         """Frames in doubt of a model whose points are made anew from poses (N, 4, 4), before any adjustment."""
         request = self.request(poses)
         if self._cache is None:
-            working, rigs = self.work / "working.db", {k: self.scene.rigs[k] for k in request.rigs}
+            working, rigs = self.work / "working.db", {k: self.scene.rigs[k] for k in request.rigs.given}
             write_working_copy(self.database, working, self.scene, rigs, None, self.refused, None)
             self._cache = read_cache(working, request.matches.least)
             self._verified = read_verified(self.database, self.scene, self.refused)
         model = pycolmap.Reconstruction()
         model.load(self._cache)
-        rigs = {k: self.scene.rigs[k] for k in request.rigs}
+        rigs = {k: self.scene.rigs[k] for k in request.rigs.given}
         place_frames(model, self.scene, Start(rigs, frame_poses(poses, self.scene), poses))
         mapper = pycolmap.IncrementalMapper(self._cache)
         mapper.begin_reconstruction(model)

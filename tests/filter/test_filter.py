@@ -20,7 +20,8 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import simple_scene
-from tiegraph.sfm.database import ViewGraph, write_working_copy
+from tiegraph.sfm.run import write_working_copy
+from tiegraph.sfm.verified import ViewGraph
 
 
 @pytest.fixture(scope="module")

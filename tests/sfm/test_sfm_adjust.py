@@ -16,8 +16,13 @@ from tiegraph.geometry import transforms
 from tiegraph.scene import colmapmodel
 from tiegraph.scene.colmapmodel import image_poses, matrix, read_model
 from tiegraph.sfm.adjustment import lens
-from tiegraph.sfm.adjustment.adjust import drop_momentary, final_adjustment
-from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait, take_poses, thinned
+from tiegraph.sfm.adjustment.adjust import (
+    drop_momentary,
+    final_adjustment,
+    points_that_can_wait,
+    take_poses,
+    thinned,
+)
 from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning, Tuning
 
 TUNING = AdjustTuning()

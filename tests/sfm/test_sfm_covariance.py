@@ -19,6 +19,7 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.sfm.adjustment.adjust import _solve
+from tiegraph.sfm.adjustment.constraints import NOTHING
 from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, gauge, point_inverse, reduced
 from tiegraph.sfm.covariance import LENS, MOUNTING, position_sigma
@@ -35,7 +36,7 @@ TUNING = Tuning()
 def robust(model: pycolmap.Reconstruction, intrinsics: bool = True, rig: bool = True) -> pycolmap.Reconstruction:
     """The model adjusted as the final adjustment does it last."""
     fixed, free = () if rig else list(model.rigs), set(model.cameras) if intrinsics else set()
-    _solve(model, fixed, free, True, None, TUNING.adjust)
+    _solve(model, fixed, free, True, NOTHING, TUNING.adjust)
     return model
 
 
@@ -273,7 +274,7 @@ def _drawn(truth: pycolmap.Reconstruction, seed: int, kind: str) -> pycolmap.Rec
             xy = xy + _unlike(xy, camera, lens[image.camera_id])
         for k, place in zip(seen, xy + 0.25 * rng.standard_normal(xy.shape)):
             image.points2D[k].xy = place
-    _solve(model, list(model.rigs), set(), True, None, TUNING.adjust)
+    _solve(model, list(model.rigs), set(), True, NOTHING, TUNING.adjust)
     return model
 
 

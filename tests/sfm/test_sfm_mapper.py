@@ -29,7 +29,7 @@ from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.registrationreport import ran_off
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import MappingTuning, Tuning
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import FixTuning
 
 
@@ -50,7 +50,7 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     result = _run(tmp_path, scene, watched, mapper="incremental")
     assert (tmp_path / "database.db").read_bytes() == before
     assert result.rig == "fixed" and result.mapper == "incremental"
-    assert result.counts["registered"] == len(scene) and result.remarks.dropped == ()
+    assert result.counts["registered"] == len(scene) and result.remarks.dropped == []
     assert seen[0] == (0, len(scene)) and 0.5 * len(scene) <= seen[-1][0] <= len(scene)
     scale = umeyama(frame_centres(result.load(), scene), frame_centres(truth, scene)).scale
     assert scale == pytest.approx(1, abs=0.01)  # the baselines, 0.5 m at 3-5 m, hold it
@@ -71,7 +71,7 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
     drop_pairs(tmp_path / "database.db", lambda *pair: number in pair)
     result = _run(tmp_path, scene, mapper="incremental", covariance_frames=0)
     assert result.counts["registered"] == len(scene) - 1 and result.counts["placed_by_rig"] == 1
-    assert result.remarks.dropped == () and any("1 images see fewer than 10 points" in n for n in result.remarks.notes)
+    assert result.remarks.dropped == [] and any("1 images see fewer than 10 points" in n for n in result.remarks.notes)
     rows = {row[0]: row[1:] for row in result.tables["registered_per_camera"]["rows"]}
     assert rows[scene.sensor_of(blind).name] == [8, 7, 1] and sorted(rows.values())[1:] == [[8, 8, 0]] * 2
     assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
@@ -195,10 +195,10 @@ def test_rules_of_auto(tmp_path: Path) -> None:
     assert rig_modes(scene, "refined") == {0: "refined"}
     assert rig_modes(without_extrinsics(scene), "refined") == {0: "derived"}
     assert rig_modes(scene, "absent") == {}
-    auto, asked = SparseSettings(), SparseSettings(mapper="incremental")
-    assert choose_mapper(scene, auto, constrained=True, tuning=MappingTuning()) == "global"
-    assert choose_mapper(scene, auto, constrained=False, tuning=MappingTuning()) == "incremental"
-    assert choose_mapper(scene, asked, constrained=True, tuning=MappingTuning()) == "incremental"
+    asked = SparseSettings(mapper="incremental")
+    with_rig, without = _job(scene, modes={0: "fixed"}), _job(scene)
+    assert choose_mapper(with_rig) == "global" and choose_mapper(without) == "incremental"
+    assert choose_mapper(replace(with_rig, settings=asked)) == "incremental"
 
 
 @pytest.mark.slow
@@ -319,20 +319,22 @@ def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
 
 
 def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
-    truth, _ = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
-    wrong, tuning = _with_focal(truth, 1.02), Tuning().adjust
-    before, after = cost_in_the_end(truth, (), (), tuning), cost_in_the_end(wrong, (), (), tuning)
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
+    wrong, job = _with_focal(truth, 1.02), _job(scene, settings=SparseSettings(refine_intrinsics="yes"))
+    before, after = cost_in_the_end(truth, job), cost_in_the_end(wrong, job)
     assert 0.01 < before < 0.1 and after == pytest.approx(before, rel=0.02)
-    assert cost_in_the_end(wrong, (), (1,), tuning) > 1.05 * before
+    held = replace(job, settings=SparseSettings(refine_intrinsics="no"))
+    assert cost_in_the_end(wrong, held) > 1.05 * before
 
 
-def _job(scene: Scene) -> mapping.Job:
+def _job(scene: Scene, **more: Any) -> mapping.Job:
     nothing: Any = SimpleNamespace()
-    source = mapping.Source(Path("none.db"), None)
-    return mapping.Job(
-        source=source, out=Path(), scene=scene, settings=SparseSettings(), tuning=Tuning(), shared=nothing,
-        log=Path("log.txt"), graph=nothing, account=mapping.Account(), rigs=mapping.RigsUsed({}, {}),
-    )  # fmt: skip
+    given = {
+        "source": mapping.Source(Path("none.db"), None), "out": Path(), "scene": scene, "settings": SparseSettings(),
+        "tuning": Tuning(), "shared": nothing, "log": Path("log.txt"), "graph": nothing,
+        "account": mapping.Account(), "modes": {},
+    }  # fmt: skip
+    return mapping.Job(**given | more)
 
 
 def _written(model: pycolmap.Reconstruction, folder: Path) -> Path:

@@ -15,18 +15,21 @@ from near import off_after_similarity
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.consistency import ConsistencyVotes, Explained, MatchSource, explained, suspect_frames
+from tiegraph.sfm.model import Findings
 from tiegraph.sfm.placement import (
-    PlacementCheck,
+    Explained,
     confirmed_places,
+    explained,
     leave_out_doubtful,
     part_places,
     placed_anew,
     rivals,
     rivals_told,
     steps_of_parts,
+    suspect_frames,
 )
 from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.verified import MatchSource
 
 TUNING = PlacementTuning()
 
@@ -38,7 +41,7 @@ def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
     return model, scene
 
 
-def _test(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> PlacementCheck:
+def _test(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> Findings:
     return leave_out_doubtful(model, scene, MatchSource(folder / "database.db"), TUNING)
 
 
@@ -54,9 +57,7 @@ def _suspects(scene: Scene, *tables: dict) -> dict[tuple[int, ...], str]:
         for (a, b), matches in table.items():
             dense[a, b] = dense[b, a] = matches
         both.append(csr_array(dense))
-    return suspect_frames(
-        range(scene.frames), ConsistencyVotes(*both), TUNING.consistency.min_votes, TUNING.consistency.loses
-    )
+    return suspect_frames(range(scene.frames), tuple(both), TUNING.consistency.min_votes, TUNING.consistency.loses)
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -85,7 +86,7 @@ def _shift(model: pycolmap.Reconstruction, frames: range, step_m: Sequence[float
 
 def test_a_good_model_is_let_be(world, tmp_path: Path) -> None:
     model, scene = world
-    assert _test(model, scene, tmp_path) == PlacementCheck()
+    assert _test(model, scene, tmp_path) == Findings()
     assert model.num_reg_images() == len(scene)
 
 
@@ -96,7 +97,7 @@ def test_a_frame_at_a_repeated_wall_is_left_out_with_its_reason(world, tmp_path:
     found = _test(model, scene, tmp_path)
     assert {name for name, _ in found.dropped} == {f"cam{s}/006.jpg" for s in range(3)}
     assert all(why.startswith("left out: most of its matches") for _, why in found.dropped)
-    assert [row[0] for row in found.table["rows"]] == ["cam0/006.jpg"]
+    assert [row[0] for row in found.tables["placement"]["rows"]] == ["cam0/006.jpg"]
     assert found.notes == ["1 of 14 frames were at a doubtful place and are left out; see the table of placement"]
     assert model.num_reg_images() == len(scene) - 3
     others = np.arange(scene.frames) != 6
@@ -110,7 +111,7 @@ def test_a_frame_that_slid_along_the_line_to_the_others_is_left_out(world, tmp_p
     model, scene = world
     _shift(model, range(13, 14), steps * np.diff(_centres(model, scene)[12:], axis=0)[0])
     found = _test(model, scene, tmp_path)
-    assert [row[0] for row in found.table["rows"]] == ["cam0/013.jpg"]
+    assert [row[0] for row in found.tables["placement"]["rows"]] == ["cam0/013.jpg"]
 
 
 @pytest.mark.parametrize(("cameras", "percent"), [(3, 88.4), (1, 88.4)])
@@ -192,7 +193,7 @@ def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path
     model, scene = world
     _shift(model, range(9, 14), (0, 0, 15))  # a third of the frames, and a fifth may be left out
     found = _test(model, scene, tmp_path)
-    assert found.table is None and found.dropped == [] and model.num_reg_images() == len(scene)
+    assert found.tables == {} and found.dropped == [] and model.num_reg_images() == len(scene)
     named = "cam0/009.jpg, cam0/010.jpg, cam0/011.jpg, cam0/012.jpg and 1 more"
     assert found.notes == [
         f"5 of 14 frames are at doubtful places; because they are so many, none is left out ({named})"
@@ -206,7 +207,7 @@ def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, t
     step = np.arange(14)
     step[2] = 14  # the last number, at the beginning of the road
     found = _test(model, scene.with_(sequence_index=step, time_s=np.full(14, np.nan)), tmp_path)
-    assert found == PlacementCheck() and model.num_reg_images() == len(scene)
+    assert found == Findings() and model.num_reg_images() == len(scene)
     assert np.linalg.norm(_centres(model, scene) - true, axis=1).max() < 1e-9
 
 

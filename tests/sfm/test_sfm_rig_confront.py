@@ -18,9 +18,8 @@ from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.finish import FinishResult, finish_model
-from tiegraph.sfm.rig.confront import open_times, prior_test
-from tiegraph.sfm.rig.priortest import PriorTest
-from tiegraph.sfm.rig.rigevidence import statements
+from tiegraph.sfm.rig.confront import PriorTest, open_times, prior_test
+from tiegraph.sfm.rig.diagnostics import statements
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import PriorTestTuning, RigTuning
@@ -75,11 +74,11 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
 def test_times_that_the_images_leave_open_are_said() -> None:
     """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
     model, scene = _rigid("as given")
-    assert open_times(_test(model, scene), scene, 0) == []
+    assert open_times(_test(model, scene), scene.rigs[0]) == []
     test = _test(_without_shared_points(model, camera=4), scene)
-    (said,) = open_times(test, scene, 0)
+    (said,) = open_times(test, scene.rigs[0])
     assert "whether cam3 fires" in said and "ms" in said and "synchronised = true" in said
-    assert open_times(test, with_sync(scene), 0) == []
+    assert open_times(test, with_sync(scene).rigs[0]) == []
 
 
 def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycolmap.Reconstruction:
@@ -127,13 +126,13 @@ def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
 def _finish(model: pycolmap.Reconstruction, scene: Scene, folder: Path, held: Held) -> FinishResult:
     (folder / "mapped").mkdir()
     model.write(folder / "mapped")
-    request = FinishRequest(folder / "mapped", folder / "0", scene.to_json(), Tuning(), held)
+    request = FinishRequest(folder / "mapped", folder / "0", scene, Tuning(), held)
     return finish_model(request, lambda _: None)
 
 
 def _finished(case: str, folder: Path, **more: object) -> tuple[FinishResult, pycolmap.Reconstruction, Scene]:
     model, scene = driving_world(CASES[case])
-    finished = _finish(model, scene, folder, Held(rigs=(0,), fixed=(0,), cameras=tuple(range(1, 7)), **more))
+    finished = _finish(model, scene, folder, Held({0: "fixed"}, cameras=tuple(range(1, 7)), **more))
     return finished, pycolmap.Reconstruction(folder / "0"), scene
 
 
@@ -155,7 +154,7 @@ def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Path) -> None:
-    finished, model, scene = _finished("late", tmp_path, ordered=(0,), lenses_ordered=True)
+    finished, model, scene = _finished("late", tmp_path, ordered=True, lenses_ordered=True)
     assert any("as requested" in line and "fire at different times" in line for line in finished.contradictions)
     for identity, pose in model.rigs[1].non_ref_sensors.items():
         given = scene.rigs[0].sensors[identity.id - 1].sensor_from_rig

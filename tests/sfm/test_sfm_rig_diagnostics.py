@@ -18,8 +18,8 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time, let_go
+from tiegraph.sfm.rig.confront import times_open
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics, torn_off
-from tiegraph.sfm.rig.priortest import times_open
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, Held, _let_go_of_loose, checked_rig
 from tiegraph.sfm.tuning import Tuning
 
@@ -31,10 +31,13 @@ def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     return final_adjustment(model, [1], list(model.cameras), tuning=TUNING.adjust).model
 
 
-def _checked(model: pycolmap.Reconstruction, scene: Scene, **more: object) -> Checked:
-    held = Held(**{"rigs": (0,), "fixed": (0,), "cameras": tuple(model.cameras), "lenses_ordered": True} | more)
-    nowhere = Path("nowhere")
-    return checked_rig(_rigid(model), model, scene, FinishRequest(nowhere, nowhere, scene.to_json(), TUNING, held))
+def _checked(
+    model: pycolmap.Reconstruction, scene: Scene, rigid: pycolmap.Reconstruction | None = None, **more: object
+) -> Checked:
+    """``rigid``: the model adjusted with a rigid rig."""
+    held = Held(**{"modes": {0: "fixed"}, "cameras": tuple(model.cameras), "lenses_ordered": True} | more)
+    request = FinishRequest(Path("nowhere"), Path("nowhere"), scene, TUNING, held)
+    return checked_rig(Checked(model=rigid or _rigid(model)), model, request)
 
 
 def test_a_good_rig_keeps_its_places() -> None:
@@ -49,23 +52,25 @@ def test_a_good_rig_keeps_its_places() -> None:
 @pytest.mark.slow
 def test_a_loose_camera_is_named_with_its_size_and_let_go() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2), points=1500)
-    found = rig_diagnostics(_rigid(model), scene, (), 1.0, TUNING)
+    rigid = _rigid(model)
+    found = rig_diagnostics(rigid, scene, (), 1.0, TUNING)
     assert set(found.loose) == {2} and "cam2 is not rigid" in found.notes(scene)[0]
     assert 0.1 < np.degrees(found.strays[2].turn) < 0.4  # of the frames that the adjustment did not throw out
-    checked = _checked(model, scene)
+    checked = _checked(model, scene, rigid)
     assert any("cam2: released from the rig" in note for note in checked.notes)
     alone = [checked.model.image(i) for i in checked.model.reg_image_ids() if checked.model.image(i).camera_id == 3]
     assert len(alone) == scene.frames and all(i.frame.rig_id == 4 for i in alone)
-    assert checked.model.compute_mean_reprojection_error() < 0.8 * _rigid(model).compute_mean_reprojection_error()
+    assert checked.model.compute_mean_reprojection_error() < 0.8 * rigid.compute_mean_reprojection_error()
 
 
 @pytest.mark.slow
 def test_a_camera_that_comes_off_is_named() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
     model, scene = moving_world(loose_deg=(0, 0, 2.0), points=1500)
-    torn = torn_off(model, _rigid(model), scene, {}, TUNING.rig.diagnostics)
+    rigid = _rigid(model)
+    torn = torn_off(model, rigid, scene, {}, TUNING.rig.diagnostics)
     assert 2 in torn and torn_off(model, model, scene, {}, TUNING.rig.diagnostics) == []
-    assert 2 in rig_diagnostics(_rigid(model), scene, torn, 1.0, TUNING).loose
+    assert 2 in rig_diagnostics(rigid, scene, torn, 1.0, TUNING).loose
 
 
 def test_a_camera_is_not_let_go_where_images_would_lose_their_place(tmp_path: Path) -> None:
@@ -77,12 +82,12 @@ def test_a_camera_is_not_let_go_where_images_would_lose_their_place(tmp_path: Pa
     poor = model.find_image_with_name("cam2/003.jpg")
     for row in poor.get_observation_point2D_idxs():
         poor.points2D[row].xy = poor.points2D[row].xy + np.random.default_rng(row).normal(0, 50, 2)
-    request = FinishRequest(tmp_path, tmp_path, scene.to_json(), TUNING, Held(rigs=(0,), fixed=(0,), cameras=(1, 2, 3)))
-    out = Checked(model)
-    _let_go_of_loose(out, scene, request, RigDiagnostics({}, {2: "it strays"}))
+    request = FinishRequest(tmp_path, tmp_path, scene, TUNING, Held({0: "fixed"}, cameras=(1, 2, 3)))
+    out = Checked(model=model)
+    _let_go_of_loose(out, request, RigDiagnostics({}, {2: "it strays"}))
     assert out.model is model and any("stays as given" in c and "cam2/" in c for c in out.contradictions)
-    ordered = replace(request, held=replace(request.held, ordered=(0,)))
-    _let_go_of_loose(out, scene, ordered, RigDiagnostics({}, {2: "it strays"}))
+    ordered = replace(request, held=replace(request.held, ordered=True))
+    _let_go_of_loose(out, ordered, RigDiagnostics({}, {2: "it strays"}))
     assert out.model is model and "as requested" in out.contradictions[-1]
 
 
@@ -97,7 +102,8 @@ def test_views_of_one_picture_have_one_time_and_stay_together() -> None:
 @pytest.mark.slow
 def test_a_late_camera_has_its_time() -> None:
     model, scene = moving_world(late_s=(0, 0, LATE), points=1500)
-    found = _checked(model, scene)
+    rigid = _rigid(model)
+    found = _checked(model, scene, rigid)
     assert found.late[3] == pytest.approx(LATE, rel=0.05) and abs(found.late[2]) < 0.05 * LATE
     assert any("fire at different times" in n and "cam2 +40" in n for n in found.notes) and not found.contradictions
     assert found.tables["rig diagnostics"]["rows"][2][4] == pytest.approx(1000 * LATE, rel=0.05)
@@ -107,7 +113,7 @@ def test_a_late_camera_has_its_time() -> None:
     last = [scene.image_index[f"cam{s}/017.jpg"] for s in (0, 2)]
     apart = transforms.apply(poses[last[0]], transforms.centre(poses[last[1]])[None])[0]
     assert apart[2] - 0.1 == pytest.approx(LATE * 0.4 * 8.5, abs=0.01)
-    told = _checked(model, scene, ordered=(0,))
+    told = _checked(model, scene, rigid, ordered=True)
     assert told.late == {} and any("held as requested" in c and "cam2 +" in c for c in told.contradictions)
 
 
@@ -129,7 +135,7 @@ def test_a_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told(
 def test_images_of_late_cameras_stand_where_they_were_and_know_how_well() -> None:
     """Six cameras that a lidar fires, over two drives: all images right to millimetres, and sigma and error agree."""
     stated, actual = [], []
-    for drive in (Drive(late_s=LATE_S, frames=16), Drive(late_s=LATE_S, gain=3.0, weave_deg=4.0)):
+    for drive in (Drive(late_s=LATE_S, frames=16), Drive(late_s=LATE_S, frames=16, gain=3.0, weave_deg=4.0)):
         mapped, scene = driving_world(drive)
         found = _checked(mapped, scene)
         late = np.array([found.late[k] for k in range(2, 7)])

@@ -19,8 +19,8 @@ from tiegraph.scene.colmapmodel import model_rigs, rigid3d
 from tiegraph.scene.rig import SensorPair
 from tiegraph.sfm.adjustment import constraints, leverarmprior
 from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.constraints import rig_priors
 from tiegraph.sfm.adjustment.leverarmprior import _CentresCost, centres_of
-from tiegraph.sfm.adjustment.rigpriors import rig_priors
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning, RigPriorTuning, RigTuning
@@ -48,8 +48,8 @@ def test_modes() -> None:
     _, scene = moving_world(frames=4)
     assert rig_modes(_with_sigma(scene, 0.1, 0.01), "auto") == {0: "soft"}
     assert rig_modes(_with_sigma(scene, 0.0, 0.0), "auto") == {0: "refined"}  # no sigma, no calibration
-    assert held_by_mapper(_with_sigma(scene, 0.1, 0.01).rigs[0], "soft", RigTuning())
-    assert not held_by_mapper(_with_sigma(scene, 3.0, 0.01).rigs[0], "soft", RigTuning())
+    assert held_by_mapper(_with_sigma(scene, 0.1, 0.01), {0: "soft"}, RigTuning()) == (0,)
+    assert held_by_mapper(_with_sigma(scene, 3.0, 0.01), {0: "soft"}, RigTuning()) == ()
 
 
 @pytest.mark.slow
@@ -175,8 +175,8 @@ def test_only_a_camera_that_ties_to_itself_alone_starts_from_where_its_rig_has_i
         for identity, pose in model.rig(1).non_ref_sensors.items():
             if identity.id == 6:
                 pose.translation = -pose.rotation.matrix() @ (expected + far)
-        assert not leverarmprior.bring_back(model, {1}, None, Tuning().adjust), "a rig that is fixed stays"
-        assert leverarmprior.bring_back(model, (), None, Tuning().adjust) == back
+        assert not leverarmprior.bring_back(model, {1}, {}, Tuning().adjust), "a rig that is fixed stays"
+        assert leverarmprior.bring_back(model, (), {}, Tuning().adjust) == back
         np.testing.assert_allclose(_centre(model), expected + (not back) * far, atol=1e-9)
 
 

@@ -36,7 +36,7 @@ def walk(readout_s: float) -> tuple[pycolmap.Reconstruction, Scene]:
     rng = np.random.default_rng(3)
     camera = pycolmap.Camera(model="PINHOLE", width=800, height=600, params=[600.0, 600.0, 400.5, 300.0], camera_id=1)
     camera.has_prior_focal_length = True
-    points = rng.uniform([-5, -4, 4], [1.2 * FRAMES / FPS + 5, 4, 9], (800, 3))
+    points = rng.uniform([-5, -4, 4], [1.2 * FRAMES / FPS + 5, 4, 9], (500, 3))
     times, rig = np.arange(FRAMES) / FPS, Rig("telephone", (Sensor("telephone", camera, np.eye(4)),))
 
     def sight(f: int, s: int) -> Sightings:
@@ -57,7 +57,7 @@ def finished(
     model.write(source)
     held = Held(cameras=(1,), readout_ms=given_ms)
     sigmas = 0 if given_ms == 0 else 100  # of frames: they tell that of the shutter
-    request = FinishRequest(source, folder / "0", scene.to_json(), tuning, held, covariance_frames=sigmas)
+    request = FinishRequest(source, folder / "0", scene, tuning, held, covariance_frames=sigmas)
     return finish_model(request, lambda _: None)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,21 +19,28 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, refusal, run_mapper
-from tiegraph.sfm.start import StartCheck, check_start, path_scale, rig_of_poses, start_from, start_told
+from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, refusal, run_mapper
+from tiegraph.sfm.start import StartCheck, check_start, length_of_path, rig_of_poses, start_from, start_told
 from tiegraph.sfm.tuning import StartCheckTuning, Tuning
 from tiegraph.sfm.tuning.placement import StagedTuning, StartTuning
-from tiegraph.sfm.verified import read_verified
+from tiegraph.sfm.verified import MatchSource, read_verified
 
 TUNING = StartTuning()
 
 
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Scene, Path]:
+    model, scene = moving_world(frames=12)
+    write_database(model, path := tmp_path_factory.mktemp("known") / "database.db")
+    return image_poses(model, scene), scene, path
+
+
 @pytest.fixture
-def world(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[np.ndarray, Scene]:
+def world(known, tmp_path: Path) -> tuple[np.ndarray, Scene]:
     """True cam_from_world (N, 4, 4) and the scene; the verified matches are in the folder."""
-    model, scene = moving_world(frames=getattr(request, "param", 12))
-    write_database(model, tmp_path / "database.db")
-    return image_poses(model, scene), scene
+    true, scene, path = known
+    shutil.copy(path, tmp_path / "database.db")
+    return true, scene
 
 
 def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: float = 0.03) -> np.ndarray:
@@ -53,9 +61,9 @@ def _map(
     folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True, tuning: Tuning | None = None
 ) -> MappingResult:
     request = Request(
-        method=Method("preview"), matches=Matches(folder / "database.db", 15), images=None, folder=folder / "run",
-        fixed=Fixed((0,) if fixed else (), (1, 2, 3), all_cameras=True), scene=scene.to_json(),
-        rigs=Request.rigs_of(dict(enumerate(scene.rigs))), positions=False, poses=poses, tuning=tuning or Tuning(),
+        method=Method("preview", poses=poses), matches=MatchSource(folder / "database.db", least=15), images=None,
+        folder=folder / "run", rigs=RigsUsed((0,), (0,) if fixed else (), (1, 2, 3)), scene=scene,
+        tuning=tuning or Tuning(),
     )  # fmt: skip
     return run_mapper(request, lambda frames: None)
 
@@ -113,7 +121,7 @@ def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: 
     nominal = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3] @ _turned(k), np.zeros(3)))
                for k, s in enumerate(scene.rigs[0].sensors)]  # fmt: skip
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(nominal), fixed=False, nominal=True),))
-    rig = rig_of_poses(given, 0, given.rigs[0], rough, TUNING.max_lever_off)
+    rig = rig_of_poses(given, 0, rough, TUNING.max_lever_off)
     for found, sensor in zip(rig.sensors, scene.rigs[0].sensors):
         np.testing.assert_allclose(found.sensor_from_rig[:3, :3], sensor.sensor_from_rig[:3, :3], atol=1e-9)
         np.testing.assert_allclose(found.sensor_from_rig[:3, 3], 0.2 * sensor.sensor_from_rig[:3, 3], atol=1e-9)
@@ -160,21 +168,20 @@ def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -
     frames = frame_poses(true, scene)
     verified = read_verified(tmp_path / "database.db", scene)
     alone = verified.where(scene.sensor[verified.pairs].max(axis=1) == 0)  # the reference camera: no baselines
-    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
     stretched = frames.copy()
     stretched[:, :3, 3] *= 3.0
-    assert np.isnan(path_scale(scene, extrinsics, stretched, alone, TUNING.scale).scale)
+    assert np.isnan(length_of_path(stretched, scene, (0,), alone, TUNING.scale)[0])
     placed = scene.with_(world_from_rig=frames, position_sigma_m=np.full((scene.frames, 3), 0.02), prior="gnss")
-    found = path_scale(placed, extrinsics, stretched, alone, TUNING.scale)
-    assert found.by == "the positions" and found.scale == pytest.approx(1 / 3, rel=0.01)
-    assert path_scale(placed, extrinsics, frames, alone, TUNING.scale).scale == 1.0
+    scale, by = length_of_path(stretched, placed, (0,), alone, TUNING.scale)
+    assert by == "the positions" and scale == pytest.approx(1 / 3, rel=0.01)
+    assert length_of_path(frames, placed, (0,), alone, TUNING.scale)[0] == 1.0
     extent = float(np.ptp(frames[:, :3, 3], axis=0).max())
     hardly = placed.with_(position_sigma_m=np.full((scene.frames, 3), extent))  # moved no farther than the noise
-    assert np.isnan(path_scale(hardly, extrinsics, frames, alone, TUNING.scale).scale)
+    assert np.isnan(length_of_path(frames, hardly, (0,), alone, TUNING.scale)[0])
     far = frames.copy()
     far[:, :3, 3] *= 100.0
-    assert path_scale(hardly, extrinsics, far, alone, TUNING.scale).scale == pytest.approx(0.01, rel=0.8)
-    assert path_scale(scene, extrinsics, stretched, verified, TUNING.scale).scale == pytest.approx(1 / 3, rel=0.03)
+    assert length_of_path(far, hardly, (0,), alone, TUNING.scale)[0] == pytest.approx(0.01, rel=0.8)
+    assert length_of_path(stretched, scene, (0,), verified, TUNING.scale)[0] == pytest.approx(1 / 3, rel=0.03)
 
 
 def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> None:
@@ -184,7 +191,7 @@ def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> 
                for s in scene.rigs[0].sensors]  # fmt: skip
     views = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(sensors)),))
     verified = read_verified(tmp_path / "database.db", views)
-    started = start_from(true, views, {0: views.rigs[0]}, (0,), verified, TUNING)
+    started = start_from(true, views, (0,), (0,), verified, TUNING)
     assert started is not None and started.notes == ()
     np.testing.assert_allclose(started.world_from_rig, frame_poses(true, scene), atol=1e-9)
 
@@ -235,9 +242,10 @@ def test_a_model_that_does_not_pass_the_gate_is_not_kept(world, tmp_path: Path) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", [14], indirect=True)
-def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
-    true, scene = world
+def test_wrong_poses_are_mapped_from_nothing(tmp_path: Path) -> None:
+    model, scene = moving_world(frames=14)
+    write_database(model, tmp_path / "database.db")
+    true = image_poses(model, scene)
     wrong = _rough(true, scene)
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
     result = run_sparse(tmp_path, scene, {"preview": wrong}, covariance_frames=0)

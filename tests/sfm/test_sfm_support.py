@@ -19,14 +19,13 @@ from tiegraph.scene.colmapmodel import Registration, model_rigs
 from tiegraph.scene.graph import WeaklyTied
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.registrationreport import few_points, weakly_constrained
-from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
-from tiegraph.sfm.tuning import MappingTuning, RegistrationTuning, Tuning
+from tiegraph.sfm.registrationreport import few_points, no_base, weakly_constrained
+from tiegraph.sfm.rig.rig import place_as_given, ties_of, units_per_metre, unsupported_sensors
+from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
-from tiegraph.sfm.turning import no_base
+from tiegraph.sfm.verified import ViewGraph
 
-LOSSES = RegistrationTuning()
+ENOUGH = Tuning().adjust.enough_seen
 TUNING = SupportTuning()
 
 
@@ -92,15 +91,15 @@ def test_what_little_holds_is_named() -> None:
     scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), sequences=("way",))
     whole = SimpleNamespace(component=sensor.copy())
     seen = Registration(np.ones(20, bool), np.full(20, 100), 10)
-    assert weakly_constrained(scene, whole, seen, (), LOSSES) == []
+    assert weakly_constrained(scene, whole, seen, (), ENOUGH) == []
     torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
-    (said,) = weakly_constrained(scene, torn, seen, (), LOSSES)
+    (said,) = weakly_constrained(scene, torn, seen, (), ENOUGH)
     assert said.startswith("4 images (cam1/006.jpg, cam1/007.jpg, cam1/008.jpg ...)") and "only the rig" in said
     half = np.where(sensor == 1, np.where(frame > 4, 2, 0), 0)  # as many as are left, which see what cam0 sees
-    assert len(weakly_constrained(scene, SimpleNamespace(component=half), seen, (), LOSSES)) == 1
+    assert len(weakly_constrained(scene, SimpleNamespace(component=half), seen, (), ENOUGH)) == 1
     points = np.where(frame == 3, [5, 12] * 10, 100)
     found, weak = Registration(np.ones(20, bool), points, 10), (WeaklyTied((3,), 12), WeaklyTied((7, 8, 9), 31))
-    by_rig, loose = weakly_constrained(scene, whole, found, weak, LOSSES)
+    by_rig, loose = weakly_constrained(scene, whole, found, weak, ENOUGH)
     assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig
     assert "place of 4 frames rests on fewer than 50 points that other frames see" in loose
     assert "(cam0/003.jpg: 12, cam0/007.jpg .. cam0/009.jpg (3 frames): 31)" in loose
@@ -109,14 +108,14 @@ def test_what_little_holds_is_named() -> None:
 def test_frames_that_few_points_of_the_model_tie_to_the_rest(world, everything) -> None:
     """The last frames of a model see hardly any of the points that others see."""
     truth, scene = world
-    assert few_points(truth, scene, everything, LOSSES) == ()
+    assert few_points(truth, scene, everything, ENOUGH) == ()
     model, last = pycolmap.Reconstruction(truth), {scene.frames - 2, scene.frames - 1}
     tracks = [[(e.image_id, e.point2D_idx) for e in p.track.elements] for p in model.points3D.values()]
     for image_id, row in (end for track in tracks[30:] for end in track):
         image = model.image(image_id)
         if scene.frame[scene.image_index[image.name]] in last and image.point2D(row).has_point3D():
             model.delete_observation(image_id, row)
-    weak = few_points(model, scene, everything, LOSSES)
+    weak = few_points(model, scene, everything, ENOUGH)
     assert {f for group in weak for f in group.frames} == last
     assert 0 < sum(group.points for group in weak) <= 60
 
@@ -133,7 +132,7 @@ def test_points_of_two_images_hold_no_distance(world, everything) -> None:
             model.delete_point3D(key)
             for part in ([own[0], rest[0]], rest[1:]):
                 model.add_point3D(place, pycolmap.Track([pycolmap.TrackElement(*e) for e in part]))
-    (weak,) = few_points(model, scene, everything, LOSSES)
+    (weak,) = few_points(model, scene, everything, ENOUGH)
     assert weak.frames == (last,) and weak.points == 0
 
 

@@ -1,6 +1,6 @@
 """Structure from motion with rigs, and where the model is on the Earth.
 
-**Mapping.** The mapper works on its own copy of the database (``database``), with the rows of the rig in it. It runs
+**Mapping.** The mapper works on its own copy of the database, with the rows of the rig in it. It runs
 in a child process, because an error in COLMAP's worker threads aborts the process (``tiegraph.child``). Poses that
 are roughly known are a *start* (``sfm.start``); what fails its acceptance test is mapped by COLMAP: global with a rig
 or from 60 images, else incremental (``mapping``). The receipt says which and why. Above 1000 images without a usable
@@ -40,7 +40,7 @@ errors:
 The variance components w and g and the correlation time of z are maximum likelihood estimates. a and delta have
 priors of 1 m and of one step between frames; where the positions reduce these sigmas by less than a tenth, a and
 delta keep their prior values and their uncertainty is propagated. The rig as given is tested by freeing groups of its
-parameters in the same normal equations (``rig.linear``, ``rig.priortest``). Statements of two sources contradict each
+parameters in the same normal equations (``rig.linear``, ``rig.confront``). Statements of two sources contradict each
 other if their difference has a probability below 0.1 % (``scene.evidence``).
 
 Adjustments go through pycolmap's Ceres problem. Its wheel names the types of pyceres but holds no ``Problem``, so the

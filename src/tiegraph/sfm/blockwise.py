@@ -22,8 +22,8 @@ from tiegraph.scene.blocks import Block, JoinResult, Poses, blocks_of, join_mode
 from tiegraph.scene.colmapmodel import image_poses, read_model, tracks
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.run import MappingResult, Request, run_mapper
+from tiegraph.sfm.verified import ViewGraph
 
 log = logging.getLogger(__name__)
 
@@ -36,16 +36,17 @@ def serially(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> 
 
 
 def poses_by_blocks(
-    request: Request, scene: Scene, graph: ViewGraph, tuning: SceneTuning, log_file: Path, run_map: RunMap
-) -> tuple[np.ndarray, tuple[str, ...]]:
+    request: Request, graph: ViewGraph, tuning: SceneTuning, log_file: Path, run_map: RunMap
+) -> tuple[np.ndarray, str]:
     """cam_from_world (N, 4, 4) of all images from rough models of blocks, NaN = in no block of the largest component;
-    notes. ``request``: the request of the whole survey; ``run_map`` runs the blocks."""
+    a note. ``request``: the request of the whole survey; ``run_map`` runs the blocks."""
+    scene, method = request.scene, replace(request.method, rough=True, positions=False)
     blocks = blocks_of(scene, graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers, tuning.blocks)
     parts = [
         replace(
             request,
             folder=request.folder / f"block-{k}",
-            method=replace(request.method, rough=True),
+            method=method,
             matches=replace(request.matches, only=block.images),
         )
         for k, block in enumerate(blocks)
@@ -54,7 +55,7 @@ def poses_by_blocks(
     made = [(blocks[k], m) for k, found in enumerate(run_map(_map_block, parts, log_file)) for m in found]
     shutil.rmtree(request.folder, ignore_errors=True)
     joined = join_models([m for _, m in made], tuning.joining)
-    return _together(len(scene), made, joined), _notes(blocks, made, joined)
+    return _together(len(scene), made, joined), _note(blocks, made, joined)
 
 
 def _map_block(request: Request, log_file: Path) -> list[Poses]:
@@ -64,8 +65,7 @@ def _map_block(request: Request, log_file: Path) -> list[Poses]:
     except ReconstructionError as error:
         log.warning("%s: %s", request.folder.name, error)
         return []
-    scene = Scene.from_json(request.scene)
-    found = [_poses(read_model(folder), scene) for folder in mapped.folders]
+    found = [_poses(read_model(folder), request.scene) for folder in mapped.folders]
     shutil.rmtree(request.folder, ignore_errors=True)
     return [m for m in found if m is not None]
 
@@ -92,11 +92,10 @@ def _together(count: int, made: Sequence[tuple[Block, Poses]], joined: JoinResul
     return out
 
 
-def _notes(blocks: Sequence[Block], made: Sequence[tuple[Block, Poses]], joined: JoinResult) -> tuple[str, ...]:
+def _note(blocks: Sequence[Block], made: Sequence[tuple[Block, Poses]], joined: JoinResult) -> str:
     held = sum(j.holds for j in joined.joins)
     placed = sum(joined.part[k] == 0 for k in range(len(made)))
-    text = (
+    return (
         f"mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images ({len(made)} models, "
         f"{placed} of them in one component; {held} of {len(joined.joins)} joins between blocks are consistent)"
     )
-    return (text,)

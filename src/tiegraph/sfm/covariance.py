@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pycolmap
@@ -64,17 +63,6 @@ class PointSigma:
 
 
 @dataclass(frozen=True)
-class SharedErrors:
-    """Errors beyond independent normal ones: of lenses, and of cameras that are not at their places in the rig.
-
-    ``widened``: sigmas divided by those of independent normal errors (median of the frames).
-    """
-
-    widened: float
-    lenses: tuple[LensError, ...]
-
-
-@dataclass(frozen=True)
 class PositionSigma:
     """One-sigma uncertainty of frames, points, scale and lenses after the best similarity of the positions to the
     truth.
@@ -87,7 +75,7 @@ class PositionSigma:
     sigma: np.ndarray  # (F, 3) along the model's axes, model units
     pixel_sigma: float  # a posteriori sigma of one image coordinate, pixels, robust
     points: PointSigma
-    shared: SharedErrors
+    lenses: tuple[LensError, ...] = ()  # what their models leave out
     interior: tuple[tuple, ...] = ()
     mounting: dict[int, Mounting] = field(default_factory=dict)
     covariance: np.ndarray | None = None  # (3F, 3F) of the positions, model units squared
@@ -97,7 +85,7 @@ class PositionSigma:
     @property
     def turn(self) -> np.ndarray:
         """(F, 3) sigmas of the frames' rotations about the model's axes, rad."""
-        return np.zeros((0, 3)) if self.turns is None else _root(np.einsum("kii->ki", self.turns))
+        return np.zeros((0, 3)) if self.turns is None else np.sqrt(np.clip(np.einsum("kii->ki", self.turns), 0, None))
 
     @property
     def median(self) -> float:
@@ -128,8 +116,7 @@ class PositionSigma:
         if self.mounting:
             named = [[names.get(k, k), *m.centre, m.sigma, m.sigma_deg] for k, m in self.mounting.items()]
             out[MOUNTING] = {"columns": ["camera", "x", "y", "z", "sigma", "sigma of the rotation deg"], "rows": named}
-        lenses = self.shared.lenses
-        bins = [[names.get(f.camera, f.camera), *(round(v, 2) for v in row)] for f in lenses for row in f.worst]
+        bins = [[names.get(f.camera, f.camera), *(round(v, 2) for v in row)] for f in self.lenses for row in f.worst]
         if bins:
             out[LENS] = {"columns": ["camera", "x px", "y px", "dx px", "dy px", "times its sigma"], "rows": bins}
         return out
@@ -174,9 +161,8 @@ def position_sigma(
     lenses, explained = lens_errors(model, weighed)
     strays = [*mounted, *unrest(model, weighed.without(explained))]
     strays += [] if times is None else untimed(weighed, *times)
-    told = _Told(seen, tuning.sigma)
-    told.add([*(effect for _, effect in lenses), *strays])
-    return told.of(model, tuple(f for f, _ in lenses))
+    effects = [*(effect for _, effect in lenses), *strays]
+    return replace(_sigma(model, seen, effects, tuning.sigma), lenses=tuple(f for f, _ in lenses))
 
 
 def planned_sigma(
@@ -192,47 +178,52 @@ def planned_sigma(
     Raises ValueError for a model without redundancy.
     """
     seen = Linearised(model, Layout(model, free_intrinsics, free_rig), {}, tuning, tuning.sigma.most_points)
-    told = _Told(seen, tuning.sigma)
-    told.full *= assumed.tracks**2
-    told.add(assumed.effects(model, seen.weighed))
-    return told.of(model, ())
+    return _sigma(model, seen, assumed.effects(model, seen.weighed), tuning.sigma, assumed.tracks)
 
 
-class _Told:
-    """The information from the observations of points, to which shared errors are added."""
+def _sigma(
+    model: pycolmap.Reconstruction,
+    seen: Linearised,
+    effects: Collection[Effect],
+    tuning: SigmaTuning,
+    tracks: float = 1.0,
+) -> PositionSigma:
+    """The sigmas by the observations of points, whose errors are ``tracks`` times as large as their residuals tell,
+    and by the effects of shared errors."""
+    layout, weighed, (first, second) = seen.layout, seen.weighed, seen.weights
+    normal, unknowns = weighed.normal, 6 * len(layout.frame_ids)
+    frames = evenly(len(layout.frame_ids), tuning.frames)
+    points = np.sort(np.random.default_rng(_SEED).permutation(weighed.jp.shape[1] // 3)[: tuning.points])
+    # First positions and rotations of the frames, then all unknowns that follow the frames, then points
+    places = 6 * frames[:, None] + np.arange(3)
+    asked = np.concatenate([places.ravel(), places.ravel() + 3, np.arange(unknowns, layout.size)])
+    shape = (layout.size, len(asked))
+    identity = sparse.csc_matrix((np.ones(len(asked)), (asked, np.arange(len(asked)))), shape=shape)
+    columns = (3 * points[:, None] + np.arange(3)).ravel()
+    own = point_inverse(weighed.jp[:, columns].tocsr())  # (P, 3, 3)
+    functions = sparse.hstack([identity, -(weighed.cross[:, columns] @ by_blocks(own))]).tocsc()
 
-    def __init__(self, seen: Linearised, tuning: SigmaTuning) -> None:
-        weighed, variance = seen.weighed, seen.variance
-        self.seen, self.tuning, normal = seen, tuning, weighed.normal
-        self.asked = _Asked(seen.layout, weighed, tuning)
-        self.sides = np.hstack([normal.asked(self.asked.functions), normal.scale()])
-        self.solved = normal.solve(self.sides)
-        self.full = self.solved.T @ (weighed.scatter @ self.solved) / seen.share
-        self.full += variance**2 * self.solved.T @ (seen.pull @ self.solved)
-
-    def add(self, effects: Collection[Effect]) -> None:
-        """Add the covariance of the effects of shared errors."""
-        for effect in effects:
-            self.full += effect.covariance(self.solved)
-
-    def of(self, model: pycolmap.Reconstruction, lenses: tuple[LensError, ...]) -> PositionSigma:
-        """All sigmas together."""
-        seen, asked, full, (first, second) = self.seen, self.asked, self.full, self.seen.weights
-        mean = float(np.mean(second))
-        # What independent normal errors of this sigma would give: the curvature is then without robust weights.
-        formal = seen.variance * mean * np.einsum("ij,ij->j", self.sides, self.solved)
-        noise = float(np.mean((first * seen.weighed.seen.residual) ** 2)) * seen.inflated / mean
-        # (C, C) covariance with non-zero entries only for rig and lenses, which follow the frames
-        start = 6 * len(asked.frame_ids)
-        own = slice(start, start + len(asked.rest))
-        rest = _Rest(seen.layout, full[own, own], self.tuning.strong_correlation)
-        return PositionSigma(
-            **asked.of_frames(full), pixel_sigma=float(np.sqrt(seen.variance)),
-            points=PointSigma(tuple(seen.points[k] for k in asked.points), asked.of_points(full, noise)),
-            shared=SharedErrors(asked.widened(full, formal), lenses),
-            interior=rest.interior(model), mounting=rest.mounting(),
-            scale=float(np.sqrt(full[-1, -1])) if seen.weighed.normal.scale_known else None,
-        )  # fmt: skip
+    solved = normal.solve(np.hstack([normal.asked(functions), normal.scale()]))
+    full = solved.T @ (weighed.scatter @ solved) / seen.share
+    full += seen.variance**2 * solved.T @ (seen.pull @ solved)
+    full *= tracks**2
+    for effect in effects:
+        full += effect.covariance(solved)
+    sigma, count = np.sqrt(np.clip(np.diag(full), 0, None)), 3 * len(frames)
+    rest = full[2 * count : len(asked), 2 * count : len(asked)]  # of rig and lenses
+    noise = float(np.mean((first * weighed.seen.residual) ** 2)) * seen.inflated / float(np.mean(second))
+    of_points = sigma[len(asked) : -1].reshape(-1, 3) ** 2 + noise * np.einsum("kii->ki", own)
+    return PositionSigma(
+        frame_ids=tuple(layout.frame_ids[k] for k in frames),
+        sigma=sigma[:count].reshape(-1, 3),
+        turns=np.array([full[k : k + 3, k : k + 3] for k in range(count, 2 * count, 3)]),
+        covariance=full[:count, :count],
+        pixel_sigma=float(np.sqrt(seen.variance)),
+        points=PointSigma(tuple(seen.points[k] for k in points), np.sqrt(of_points)),
+        interior=_interior(model, layout, rest, tuning.strong_correlation),
+        mounting=_mountings(layout, rest),
+        scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
+    )
 
 
 class Linearised:
@@ -269,96 +260,36 @@ class Linearised:
         self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known
 
 
-class _Asked:
-    """The functions (C, K) of the unknowns whose sigmas are wanted: first positions and rotations of frames, then all
-    unknowns that follow the frames, then points."""
-
-    def __init__(self, layout: Layout, weighed: EffectWeights, tuning: SigmaTuning) -> None:
-        frames = evenly(len(layout.frame_ids), tuning.frames)
-        self.frame_ids = tuple(layout.frame_ids[k] for k in frames)
-        at = 6 * frames[:, None] + np.arange(3)
-        self.rest = np.arange(6 * len(layout.frame_ids), layout.size)
-        columns = np.concatenate([at.ravel(), at.ravel() + 3, self.rest])
-        identity = sparse.csc_matrix(
-            (np.ones(len(columns)), (columns, np.arange(len(columns)))), shape=(layout.size, len(columns))
-        )
-        count = weighed.jp.shape[1] // 3
-        self.points = np.sort(np.random.default_rng(_SEED).permutation(count)[: tuning.points])
-        columns = (3 * self.points[:, None] + np.arange(3)).ravel()
-        self.own = point_inverse(weighed.jp[:, columns].tocsr())  # (P, 3, 3)
-        of_points = weighed.cross[:, columns] @ by_blocks(self.own)
-        self.functions = sparse.hstack([identity, -of_points]).tocsc()
-
-    def of_frames(self, full: np.ndarray) -> dict[str, Any]:
-        """Fields of PositionSigma from the covariance (K + 1, K + 1) of functions and scale."""
-        sigma, m = _root(np.diag(full)), 3 * len(self.frame_ids)
-        turns = np.array([full[k : k + 3, k : k + 3] for k in range(m, 2 * m, 3)])
-        return {
-            "frame_ids": self.frame_ids,
-            "sigma": sigma[:m].reshape(-1, 3),
-            "turns": turns,
-            "covariance": full[:m, :m],
-        }
-
-    def widened(self, full: np.ndarray, formal: np.ndarray) -> float:
-        """Median of the positions' sigmas over those of independent errors, whose variances (K + 1,) are given."""
-        m = 3 * len(self.frame_ids)
-        place, simple = (np.linalg.norm(_root(v[:m]).reshape(-1, 3), axis=1) for v in (np.diag(full), formal))
-        return float(np.median(place / np.maximum(simple, 1e-300)))
-
-    def of_points(self, full: np.ndarray, noise: float) -> np.ndarray:
-        """(P, 3) sigmas of points; ``noise``: variance of an observation of one."""
-        start = 6 * len(self.frame_ids) + len(self.rest)
-        shared = _root(np.diag(full))[start:-1].reshape(-1, 3) ** 2
-        return np.asarray(np.sqrt(shared + noise * np.einsum("kii->ki", self.own)))
+def _interior(
+    model: pycolmap.Reconstruction, layout: Layout, covariance: np.ndarray, strong: float
+) -> tuple[tuple, ...]:
+    """Each adjusted parameter of lenses with its sigma and the parameter of lens or mounting with which it correlates
+    most, if by at least ``strong``. ``covariance`` (R, R) of the unknowns that follow the frames."""
+    sigma, frames = np.sqrt(np.clip(np.diag(covariance), 1e-300, None)), 6 * len(layout.frame_ids)
+    rows = []
+    for key, column in layout.camera.items():
+        camera = model.camera(key)
+        own = list(enumerate((n.strip() for n in camera.params_info.split(",")), start=column - frames))
+        labels = dict(own)
+        if key in layout.sensor:
+            labels |= dict(enumerate(_MOUNTING, start=layout.sensor[key] - frames))
+        for (at, name), value in zip(own, camera.params):
+            others = {o: covariance[at, o] / sigma[at] / sigma[o] for o in labels if o != at}
+            most = max(others, key=lambda o: abs(others[o]))
+            told = abs(others[most]) >= strong
+            last = (round(float(others[most]), 2), labels[most]) if told else (None, "")
+            rows.append((key, name, float(f"{value:.6g}"), float(f"{sigma[at]:.2g}"), *last))
+    return tuple(rows)
 
 
-def _root(variance: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt(np.clip(variance, 0, None)))
-
-
-@dataclass(frozen=True)
-class _Rest:
-    """The unknowns that follow the frames, rig and lenses, with their covariance (R, R)."""
-
-    layout: Layout
-    covariance: np.ndarray
-    strong: float  # a correlation from which it is listed
-
-    def _at(self, column: int, count: int) -> list[int]:
-        start = column - 6 * len(self.layout.frame_ids)
-        return list(range(start, start + count))
-
-    def interior(self, model: pycolmap.Reconstruction) -> tuple[tuple, ...]:
-        """Each adjusted parameter with its sigma and the parameter of lens or mounting with which
-        it correlates most."""
-        full = self.covariance
-        sigma = np.sqrt(np.clip(np.diag(full), 1e-300, None))
-        rows = []
-        for key, column in self.layout.camera.items():
-            camera = model.camera(key)
-            names = [n.strip() for n in camera.params_info.split(",")]
-            own = self._at(column, len(names))
-            labels = dict(zip(own, names))
-            if key in self.layout.sensor:
-                labels |= dict(zip(self._at(self.layout.sensor[key], 6), _MOUNTING))
-            for at, name, value in zip(own, names, camera.params):
-                others = {o: full[at, o] / sigma[at] / sigma[o] for o in labels if o != at}
-                most = max(others, key=lambda o: abs(others[o]))
-                told = abs(others[most]) >= self.strong
-                last = (round(float(others[most]), 2), labels[most]) if told else (None, "")
-                rows.append((key, name, float(f"{value:.6g}"), float(f"{sigma[at]:.2g}"), *last))
-        return tuple(rows)
-
-    def mounting(self) -> dict[int, Mounting]:
-        """The cameras in their rig, by id."""
-        out = {}
-        for key, column in self.layout.sensor.items():
-            own = np.clip(np.diag(self.covariance)[self._at(column, 6)], 0, None)
-            place, turn = np.sqrt(own.reshape(2, 3).sum(axis=1))
-            x, y, z = self.layout.sensor_centre[key].tolist()
-            out[key] = Mounting((x, y, z), float(place), float(np.degrees(turn)))
-        return out
+def _mountings(layout: Layout, covariance: np.ndarray) -> dict[int, Mounting]:
+    out, variance = {}, np.clip(np.diag(covariance), 0, None)
+    for key, column in layout.sensor.items():
+        start = column - 6 * len(layout.frame_ids)
+        place, turn = np.sqrt(variance[start : start + 6].reshape(2, 3).sum(axis=1))
+        x, y, z = layout.sensor_centre[key].tolist()
+        out[key] = Mounting((x, y, z), float(place), float(np.degrees(turn)))
+    return out
 
 
 _MOUNTING = ("place x", "place y", "place z", "turn x", "turn y", "turn z")

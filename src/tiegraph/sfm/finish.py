@@ -9,7 +9,7 @@ that were turned on their side (their rows are columns of the sensor).
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,14 +23,14 @@ from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost, without_outliers
+from tiegraph.sfm.adjustment.constraints import nominal_geometry
 from tiegraph.sfm.adjustment.jacobians import Layout
-from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
-from tiegraph.sfm.consistency import explained
 from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
+from tiegraph.sfm.model import Findings
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
 from tiegraph.sfm.placement import (
-    PlacementCheck,
     confirmed_places,
+    explained,
     frame_ids,
     leave_out_doubtful,
     named,
@@ -39,9 +39,9 @@ from tiegraph.sfm.placement import (
     rivals_told,
     steps_of_parts,
 )
-from tiegraph.sfm.rig.diagnostics import camera_matches, matches_sentence, matches_table
-from tiegraph.sfm.rig.priortest import times_open
-from tiegraph.sfm.rig.support import place_as_given, units_per_metre
+from tiegraph.sfm.rig.confront import times_open
+from tiegraph.sfm.rig.diagnostics import MATCHES, camera_matches
+from tiegraph.sfm.rig.rig import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.systematic import of_time
@@ -54,17 +54,12 @@ Steps = Sequence[Mapping[int, np.ndarray]]
 none."""
 
 
-@dataclass(frozen=True)
-class FinishResult:
-    """Tables, remarks and contradictions of the finishing of a model, or of one of its steps."""
+@dataclass
+class FinishResult(Findings):
+    """The findings of the finishing of a model, and its sigmas."""
 
-    notes: list[str] = field(default_factory=list)
-    tables: dict[str, dict] = field(default_factory=dict)
-    dropped: list[tuple[str, str]] = field(default_factory=list)  # images left out for their place
-    contradictions: list[str] = field(default_factory=list)
     sigma: PositionSigma | None = None
     shape: Shape | None = None
-    counts: dict[str, float] = field(default_factory=dict)
 
 
 def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishResult:
@@ -75,23 +70,30 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     between cameras are compared with the result. Cameras with hardly any match are placed by their rig, points get
     colours, and the covariances of the adjustment are estimated.
     """
-    scene = Scene.from_json(request.scene)
-    mapped, placement = _without_doubtful(read_model(request.folder), scene, request)
+    out, scene, tuning = FinishResult(), request.scene, request.tuning
+    mapped = _without_doubtful(out, read_model(request.folder), request)
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
-    checked = _without_rolling(_adjusted(mapped, scene, request), mapped, scene, request)
+    checked = _without_rolling(_adjusted(mapped, request), mapped, request)
+    out.add(checked)
+    if checked.statements:
+        out.tables["given values and images compared"] = statement_table(checked.statements)
     if request.held.unsupported:
-        place_as_given(checked.model, scene, request.held.unsupported, request.tuning)
+        place_as_given(checked.model, scene, request.held.unsupported, tuning)
     model = checked.model
     if checked.late:
-        motion = Motion(model, scene, request.tuning.shutter.max_gap_s)
+        motion = Motion(model, scene, tuning.shutter.max_gap_s)
         model = in_their_time(_as_seen(model, mapped), motion, Lateness(checked.late), scene)
-        without_outliers(model, request.tuning.adjust)
-    matches, steps = _matches(model, scene, request)
-    colours = _coloured(model, request)
+        without_outliers(model, tuning.adjust)
+    steps = _matches(out, model, request)
+    try:
+        if request.images is not None:
+            model.extract_colors_for_all_images(request.images)
+    except (RuntimeError, ValueError) as error:
+        out.notes.append(f"the points have no colours: {error}")
     model.write(request.target)
-    precision = _precision(checked, scene, request, steps)
-    return _combined(placement, _rig_findings(checked), matches, colours, precision)
+    _precision(out, checked, request, steps)
+    return out
 
 
 def _as_seen(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -103,72 +105,47 @@ def _as_seen(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) ->
     return out
 
 
-def _combined(placement: PlacementCheck, *steps: FinishResult) -> FinishResult:
-    """The results of the steps, in order; the table of frames left out follows those of the rigs."""
-    *adjusted, precision = steps
-    tables = {name: table for step in adjusted for name, table in step.tables.items()}
-    if placement.table is not None:
-        tables["placement"] = placement.table
-    return FinishResult(
-        notes=[*placement.notes, *(note for step in steps for note in step.notes)],
-        tables={**tables, **precision.tables},
-        dropped=placement.dropped,
-        contradictions=[line for step in steps for line in step.contradictions],
-        sigma=precision.sigma,
-        shape=precision.shape,
-        counts={name: count for step in steps for name, count in step.counts.items()},
-    )
-
-
 def _without_doubtful(
-    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
-) -> tuple[pycolmap.Reconstruction, PlacementCheck]:
-    """The model without the frames at doubtful places, and the remarks on them."""
+    out: FinishResult, model: pycolmap.Reconstruction, request: FinishRequest
+) -> pycolmap.Reconstruction:
+    """The model without the frames at doubtful places."""
     if request.matched is None:
-        return model, PlacementCheck()
+        return model
     tested = pycolmap.Reconstruction(model)
     try:
-        return tested, leave_out_doubtful(tested, scene, request.matched, request.tuning.placement)
+        out.add(leave_out_doubtful(tested, request.scene, request.matched, request.tuning.placement))
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return model, PlacementCheck([f"the places of the frames could not be tested: {error}"])
+        out.notes.append(f"the places of the frames could not be tested: {error}")
+        return model
+    return tested
 
 
-def _adjusted(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Checked:
+def _adjusted(mapped: pycolmap.Reconstruction, request: FinishRequest) -> Checked:
     """A mapped model adjusted, its rigs checked."""
-    model, notes = (mapped, []) if request.rough else _bundle_adjusted(mapped, scene, request)
-    checked = checked_rig(model, mapped, scene, request)
-    checked.notes[:0] = notes
-    return checked
+    out, held = Checked(model=mapped), request.held
+    if not request.rough:
+        if "soft" in held.modes.values():  # to metres, for the rig's priors with their sigmas
+            scale = 1 / units_per_metre(mapped, request.scene, request.tuning)
+            mapped.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+        known, tuning = request.known(mapped), request.tuning.adjust
+        adjustment = final_adjustment(mapped, held.fixed(), held.cameras, known, tuning=tuning)
+        out.model, out.notes = adjustment.model, [adjustment.note]
+    return checked_rig(out, mapped, request)
 
 
-def _bundle_adjusted(
-    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
-) -> tuple[pycolmap.Reconstruction, list[str]]:
-    """A model scaled to metres by the rig's priors with their sigmas, and notes."""
-    if request.held.soft:
-        scale = 1 / units_per_metre(model, scene, request.tuning)
-        model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-    known = rig_priors(model, scene, request.held.soft, request.tuning.rig.priors)
-    fixed = [k + 1 for k in request.held.fixed]
-    adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
-    return adjustment.model, [adjustment.note]
-
-
-def _without_rolling(
-    checked: Checked, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
-) -> Checked:
+def _without_rolling(checked: Checked, mapped: pycolmap.Reconstruction, request: FinishRequest) -> Checked:
     """The same, or a new result from key points corrected for a rolling shutter, whose readout is
     given or estimated."""
-    given, tuning = request.held.readout_ms, request.tuning.shutter
+    given, tuning, scene = request.held.readout_ms, request.tuning.shutter, request.scene
 
     def anew(last: Checked, seconds: float) -> Checked:
         motion = Motion(last.model, scene, tuning.max_gap_s)
-        return _adjusted(at_one_instant(mapped, last.model, motion, Lateness({}, seconds)), scene, request)
+        return _adjusted(at_one_instant(mapped, last.model, motion, Lateness({}, seconds)), request)
 
     if given == 0 or request.rough or (given is None and not request.covariance_frames):
         return checked
     if given is None:
-        return _with_found(checked, anew, scene, request)
+        return _with_found(checked, anew, request)
     if rows_in_time(checked.model, scene, tuning) is None:
         checked.notes.append(
             f"sparse.readout_ms = {given:g} is not used: it needs frames of a pass with times (--times, video, "
@@ -180,11 +157,9 @@ def _without_rolling(
     return checked
 
 
-def _with_found(
-    checked: Checked, anew: Callable[[Checked, float], Checked], scene: Scene, request: FinishRequest
-) -> Checked:
+def _with_found(checked: Checked, anew: Callable[[Checked, float], Checked], request: FinishRequest) -> Checked:
     """The same, or ``anew`` with the readout that explains the images best, if they show a rolling shutter."""
-    fixed, tuning = [k + 1 for k in request.held.fixed], request.tuning
+    scene, fixed, tuning = request.scene, request.held.fixed(), request.tuning
     found = find_readout(checked.model, scene, fixed, tuning)
     if found is None or not found.there(tuning.shutter):
         return checked
@@ -212,82 +187,71 @@ def _with_found(
     return last
 
 
-def _rig_findings(checked: Checked) -> FinishResult:
-    """The results of testing rigs and lenses against the images."""
-    given = {"given values and images compared": statement_table(checked.statements)} if checked.statements else {}
-    return FinishResult(checked.notes, {**checked.tables, **given}, contradictions=checked.contradictions)
-
-
-def _matches(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> tuple[FinishResult, Steps]:
+def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishRequest) -> Steps:
     """How many of the verified matches the final model explains, which frames their matches still contradict, and
-    whether the matches between cameras of rigs agree; and steps to alternative places of frames."""
+    whether the matches between cameras of rigs agree; returns steps to alternative places of frames."""
     if request.matched is None or request.rough:
-        return FinishResult(), []
+        return []
+    scene, tuning = request.scene, request.tuning.placement
     try:
-        found = explained(model, scene, request.matched.read(scene), request.tuning.placement)
-        other, places = rivals(found), part_places(found.in_doubt(found.tuning.agrees), request.tuning.placement)
+        found = explained(model, scene, request.matched.read(scene), tuning)
+        other, places = rivals(found), part_places(found.in_doubt(found.tuning.agrees), tuning)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return FinishResult([f"the matches could not be checked against the model: {error}"]), []
-    tables, said = {"matches that the model explains: frames with the fewest": found.table()}, rivals_told(other, scene)
+        out.notes.append(f"the matches could not be checked against the model: {error}")
+        return []
+    out.tables["matches that the model explains: frames with the fewest"] = found.table()
+    out.counts["matches_explained_percent"] = round(found.percent(), 1)
+    out.contradictions += rivals_told(other, scene)
     parts, (confirmed, sure) = steps_of_parts(found, places), confirmed_places(places, scene)
+    out.notes += confirmed
     for part in parts:
         away = float(np.median([np.linalg.norm(step) for step in part.values()]))
-        said.append(
+        out.contradictions.append(
             f"the matches of {len(part)} frames together support a second place too, {away:.3g} model units away; "
             f"their sigmas cover both places ({named(part.keys(), scene)})"
         )
-    if lost := found.doubts.keys() - other.keys() - sure - {f for part in parts for f in part}:
-        said.append(
+    inside = {f for part in parts for f in part}
+    if lost := found.doubts.keys() - other.keys() - sure - inside:
+        out.contradictions.append(
             f"most matches of {len(lost)} frames contradict their final place: their errors may be larger than "
             f"stated ({named(lost, scene)})"
         )
-    if request.held.rigs:
-        between = camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
-        tables |= {"matches between cameras": matches_table(between, scene)} if between else {}
-        said += matches_sentence(between, scene)
-    inside = {f for part in parts for f in part}
+    if request.held.modes:
+        rows, said = camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
+        out.tables |= {"matches between cameras": {"columns": MATCHES, "rows": rows}} if rows else {}
+        out.contradictions += said
     groups = [*parts, *({f: r.step} for f, r in other.items() if f not in inside)]
-    steps = [{k: step for f, step in group.items() for k in frame_ids(model, scene, f)} for group in groups]
-    counts = {"matches_explained_percent": round(found.percent(), 1)}
-    return FinishResult(confirmed, tables=tables, contradictions=said, counts=counts), steps
+    return [{k: step for f, step in group.items() for k in frame_ids(model, scene, f)} for group in groups]
 
 
-def _coloured(model: pycolmap.Reconstruction, request: FinishRequest) -> FinishResult:
-    """Give the points the colours of the images, if they can be read."""
-    try:
-        if request.images is not None:
-            model.extract_colors_for_all_images(request.images)
-    except (RuntimeError, ValueError) as error:
-        return FinishResult([f"the points have no colours: {error}"])
-    return FinishResult()
-
-
-def _precision(checked: Checked, scene: Scene, request: FinishRequest, steps: Steps) -> FinishResult:
+def _precision(out: FinishResult, checked: Checked, request: FinishRequest, steps: Steps) -> None:
     """The sigmas of positions, lenses and mountings."""
-    frames = checked.model.num_reg_frames()
+    scene, tuning, frames = request.scene, request.tuning.sigma, checked.model.num_reg_frames()
     if frames > request.covariance_frames:
-        many = f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames"
-        return FinishResult([many] if request.covariance_frames > 0 else [])
+        if request.covariance_frames:
+            out.notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
+        return
     try:
-        sigma = _position_sigma(checked, scene, request)
+        sigma = _position_sigma(checked, request)
         alone = Shape.of(checked.model, sigma, scene)
-        shape = Shape.of(checked.model, sigma, scene, steps) if steps else alone
-        sigma = sigma.covering(steps)
+        out.shape = Shape.of(checked.model, sigma, scene, steps) if steps else alone
+        out.sigma = sigma.covering(steps)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        return FinishResult([f"position sigmas could not be computed: {error}"])
+        out.notes.append(f"position sigmas could not be computed: {error}")
+        return
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-    notes = _open_notes(sigma, names, request.tuning.sigma) + _open_places(alone, scene, request.tuning.sigma)
-    return FinishResult(notes, sigma.tables(names), sigma=sigma, shape=shape)
+    out.notes += _open_notes(out.sigma, names, tuning) + _open_places(alone, scene, tuning)
+    out.tables |= out.sigma.tables(names)
 
 
-def _position_sigma(checked: Checked, scene: Scene, request: FinishRequest) -> PositionSigma:
+def _position_sigma(checked: Checked, request: FinishRequest) -> PositionSigma:
     """From the covariance of the adjustment, and from the deviations of the rigs beyond it."""
-    model = checked.model
-    free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
-    rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
-    motion = Motion(model, scene, request.tuning.shutter.max_gap_s)
-    times = motion, times_open(scene, motion.timed, request.tuning.rig)
-    sigma = position_sigma(model, free, rigs, nominal_geometry(model, scene), checked.off, times, tuning=request.tuning)
+    model, scene, tuning, held = checked.model, request.scene, request.tuning, request.held
+    free = free_cameras(model, tuning.adjust) - set(held.cameras)
+    rigs = set(model.rigs) - set(held.fixed())
+    motion = Motion(model, scene, tuning.shutter.max_gap_s)
+    times = motion, times_open(scene, motion.timed, tuning.rig)
+    sigma = position_sigma(model, free, rigs, nominal_geometry(model, scene), checked.off, times, tuning=tuning)
     if checked.misfit:  # a rig contradicted by this share gives no better scale
         sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
     return sigma

@@ -12,13 +12,10 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
 from tiegraph.scene.colmapmodel import Registration, image_poses, read_model, registration
 from tiegraph.scene.graph import WeaklyTied
-from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm.consistency import MatchSource
 from tiegraph.sfm.covariance import PositionSigma
-from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.mapping import (
     RUN_COLUMNS,
@@ -26,33 +23,30 @@ from tiegraph.sfm.mapping import (
     Account,
     Job,
     Outcome,
-    RigsUsed,
     Source,
     believed_cameras,
     map_images,
     ran_off,
 )
-from tiegraph.sfm.model import registration_tables
+from tiegraph.sfm.model import Findings, registration_tables
 from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,
     few_points,
     models_table,
+    no_base,
     no_model_text,
     rig_doubts,
     unregistered,
     weakly_constrained,
 )
-from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
-from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
+from tiegraph.sfm.rig.rig import derive_rig, rig_modes, rig_table, ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.tuning import MappingTuning, Tuning
-from tiegraph.sfm.tuning.rig import DeriveTuning
-from tiegraph.sfm.turning import no_base
-from tiegraph.sfm.verified import read_verified
+from tiegraph.sfm.verified import ViewGraph
 
 __all__ = ["Model", "Source", "SparseResult", "reconstruct"]
 
@@ -80,15 +74,6 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Remarks:
-    """The remarks on the models."""
-
-    dropped: tuple[tuple[str, str], ...]  # image name, why it is not in the first model
-    notes: tuple[str, ...]
-    contradictions: tuple[str, ...]  # between given values and the images
-
-
-@dataclass(frozen=True)
 class SparseResult:
     """The models, most images first, and an account of everything that is not in them."""
 
@@ -97,7 +82,7 @@ class SparseResult:
     rig: str  # absent, fixed, refined, derived (or several joined by +)
     scene: Scene  # as given, with derived extrinsics filled in
     components: tuple[int, ...]  # images of each connected part of the view graph
-    remarks: Remarks
+    remarks: Findings  # why images are not in the first model, notes, contradictions
     tables: dict[str, dict]
     counts: dict[str, float]
     sigma: PositionSigma | None  # of the first model's frames, model units
@@ -124,8 +109,9 @@ def reconstruct(
     models are adjusted and checked. The database is read, never changed. Raises ReconstructionError, with the counts
     and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
     """
+    modes = rig_modes(scene, settings.rig)
     job = Job(
-        rigs=RigsUsed.known(scene, rig_modes(scene, settings.rig)),
+        modes={k: mode for k, mode in modes.items() if mode != "derived"},
         graph=_view_graph(source, scene, settings, tuning.mapping),
         source=source,
         out=out,
@@ -136,15 +122,16 @@ def reconstruct(
         log=log,
         account=Account(),
     )
-    _remove_models(out)
+    out.mkdir(parents=True, exist_ok=True)
+    for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):  # models of an earlier run
+        shutil.rmtree(old)
     try:
         job = _without_unsupported(job)
-        job, outcome = _with_unknown_rigs(job)
+        job, outcome = _with_unknown_rigs(job, [k for k, mode in modes.items() if mode == "derived"])
         if outcome is None:
             job = start_from_sections(job)
             outcome = map_images(job)
-        finished = _finish(job, outcome)
-        return _account(job, outcome, finished)
+        return _account(job, outcome, _finish(job, outcome))
     finally:
         shutil.rmtree(out / SCRATCH, ignore_errors=True)
 
@@ -158,18 +145,11 @@ def _view_graph(source: Source, scene: Scene, settings: SparseSettings, tuning: 
     return graph
 
 
-def _remove_models(out: Path) -> None:
-    """Make the folder and remove the models of an earlier run."""
-    out.mkdir(parents=True, exist_ok=True)
-    for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
-        shutil.rmtree(old)
-
-
 def _without_unsupported(job: Job) -> Job:
     """The job without the ties of sensors that have too few of them: their rig places them, if other sensors can be
     mapped."""
     scene, graph, source = job.scene, job.graph, job.source
-    alone = unsupported_sensors(scene, graph, job.rigs.modes, job.tuning.rig.support)
+    alone = unsupported_sensors(scene, graph, job.modes, job.tuning.rig.support)
     without = (*source.refused, *ties_of(scene, graph, alone))
     if not alone or len(without) - len(source.refused) >= len(graph.pairs):
         return job
@@ -178,80 +158,51 @@ def _without_unsupported(job: Job) -> Job:
         f"{names} has too few ties: it is placed by the rig as given, and its own ties are not used"
     )
     graph = ViewGraph(source.database, scene, job.settings.min_matches, without)
-    rigs = replace(job.rigs, unsupported=alone)
-    return replace(job, source=replace(source, refused=without), graph=graph, rigs=rigs)
+    return replace(job, source=replace(source, refused=without, unsupported=alone), graph=graph)
 
 
-def _with_unknown_rigs(job: Job) -> tuple[Job, Outcome | None]:
+def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome | None]:
     """The job with the extrinsics of unknown rigs, derived from models made without these rigs. Where none could be
     derived, also these models (else None), because nothing needs to be mapped again."""
-    unknown = [k for k, mode in job.rigs.modes.items() if mode == "derived"]
     if not unknown:
         return job, None
     outcome = map_images(job, "without the unknown rig")
-    derived = _derive(job, unknown, outcome)
+    models, rigs = [read_model(folder) for folder in outcome.folders], list(job.scene.rigs)
+    for index in unknown:
+        rig, said = derive_rig(job.scene, index, models, job.tuning.rig.derive)
+        job.account.notes.append(said)
+        rigs[index] = rig or rigs[index]
+    derived = {k: "derived" for k in unknown if rigs[k] is not job.scene.rigs[k]}
     if not derived:
         return job, outcome
-    given = {**job.rigs.given, **derived}
-    scene = job.scene.with_(rigs=tuple(given.get(k, r) for k, r in enumerate(job.scene.rigs)))
-    return replace(job, scene=scene, rigs=replace(job.rigs, given=given)), None
-
-
-def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
-    models = [read_model(folder) for folder in outcome.folders]
-    rigs = {}
-    for index in unknown:
-        result = derive_rig(job.scene, index, models, job.tuning.rig.derive)
-        job.account.notes.append(_derived_note(job.scene.rigs[index], result, job.tuning.rig.derive))
-        if result.rig is not None:
-            rigs[index] = result.rig
-    return rigs
-
-
-def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
-    lost = "; ".join(f"{name}: {why}" for name, why in result.left_out)
-    if result.rig is None:
-        return (
-            f"rig {rig.name}: its extrinsics could not be determined; the images were mapped without the rig ({lost})"
-        )
-    held = [s for s in result.scatter if s.rigid(tuning)]
-    worst = max(held, key=lambda s: s.scatter_deg)
-    return (
-        f"rig {rig.name}: extrinsics of {len(held) + 1} of {len(rig.sensors)} cameras found from a model without rig "
-        f"and then adjusted; largest scatter over frames {worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} "
-        f"frames)" + (f"; left out: {lost}" if lost else "")
-    )
+    return replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **derived}), None
 
 
 def _finish(job: Job, outcome: Outcome) -> FinishResult:
     """Adjust, check, colour and write the models to their folders; returns the findings on the first."""
-    out, modes = [], job.rigs.used()
+    out, settings = [], job.settings
     plain = job.source.rough or not job.tuning.adjust.iterations
     held = Held(
-        rigs=() if plain else tuple(modes),
-        fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
-        soft=tuple(k for k, mode in modes.items() if mode == "soft"),
-        ordered=tuple(modes) if job.settings.rig == "fixed" else (),
-        unsupported=job.rigs.unsupported,
-        cameras=believed_cameras(job.scene, job.settings),
-        lenses_ordered=job.settings.refine_intrinsics == "no",
-        readout_ms=job.settings.readout_ms,
+        modes=job.modes,
+        ordered=settings.rig == "fixed",
+        unsupported=job.source.unsupported,
+        cameras=believed_cameras(job.scene, settings),
+        lenses_ordered=settings.refine_intrinsics == "no",
+        readout_ms=settings.readout_ms,
     )
-    matched = MatchSource(job.source.database, job.source.refused)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
             target=job.out / str(number),
             images=job.source.images,
-            scene=job.scene.to_json(),
+            scene=job.scene,
             tuning=job.tuning,
             held=held,
-            matched=None if number or plain else matched,
-            covariance_frames=0 if number else job.settings.covariance_frames,
+            matched=None if number or plain else job.matches(),
+            covariance_frames=0 if number else settings.covariance_frames,
             rough=plain,
         )
         out.append(_finished(request, job.log))
-    job.account.notes.extend(out[0].notes)
     return out[0]
 
 
@@ -279,7 +230,7 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
     weak: tuple[WeaklyTied, ...] = ()
     weakly: list[str] = []
     if not job.source.rough:
-        held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
+        held = [k for k, mode in job.modes.items() if mode in ("fixed", "soft")]
         doubts = rig_doubts(main, scene, held, first.registered, job.graph.components[0], tuning)
         if off := ran_off(main, scene, tuning.mapping.other_focal):
             doubts.append(
@@ -288,18 +239,18 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
                 "same factor. Check heights with control points, or give a calibration (--camera) and set "
                 "sparse.refine_intrinsics = no"
             )
-        weak = few_points(main, scene, first.found, tuning.registration)
-        weakly = weakly_constrained(scene, job.graph, first.found, weak, tuning.registration)
+        weak = few_points(main, scene, first.found, tuning.adjust.enough_seen)
+        weakly = weakly_constrained(scene, job.graph, first.found, weak, tuning.adjust.enough_seen)
     return SparseResult(
         models=tuple(models),
         mapper=outcome.mapper,
-        rig=job.rigs.text(),
+        rig=job.rigs_text(),
         scene=scene,
         components=tuple(job.graph.components),
-        remarks=Remarks(
-            dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-            notes=(*job.account.notes, *weakly, *camera_notes(main, scene, tuning)),
-            contradictions=(*job.account.contradictions, *finished.contradictions, *doubts),
+        remarks=Findings(
+            dropped=unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped)),
+            notes=[*job.account.notes, *finished.notes, *weakly, *camera_notes(main, scene, tuning)],
+            contradictions=[*job.account.contradictions, *finished.contradictions, *doubts],
         ),
         tables={
             "models": models_table(models),
@@ -362,8 +313,7 @@ def start_from_sections(job: Job) -> Job:
     account = Account(runs=job.account.runs)  # no remark is needed where a section has no pair with another
     alone = replace(job, source=replace(source, refused=refused, apart=()), graph=graph, account=account)
     models = [read_model(folder) for folder in map_images(alone).folders]
-    verified = read_verified(source.database, scene, source.refused)
-    joining = Joining(scene, verified, job.tuning.placement, models, {0: models[0]})
+    joining = Joining(scene, job.matches().read(scene), job.tuning.placement, models, {0: models[0]})
     while (found := joining.strongest([k for k in range(len(models)) if k not in joining.world])) is not None:
         number, fit, _ = found
         joining.add(number, moved(models[number], fit.first_from_second))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,21 +24,19 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
 from tiegraph.scene.blocks import in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, observations, read_model
-from tiegraph.scene.rig import Rig, calibrated
+from tiegraph.scene.rig import calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.adjustment.adjust import final_adjustment, robust_cost
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
-from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.model import frame_poses
+from tiegraph.sfm.model import Findings, frame_poses
 from tiegraph.sfm.registrationreport import no_model_text, ran_off
 from tiegraph.sfm.rig.rig import held_by_mapper
-from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
+from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import length_of_path
-from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, Tuning
-from tiegraph.sfm.tuning.rig import RigTuning
-from tiegraph.sfm.verified import read_verified, share_explained
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import MatchSource, ViewGraph, share_explained
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
@@ -60,46 +58,17 @@ class Source:
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
     apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``mapper``)
+    unsupported: tuple[int, ...] = ()  # keys of sensors whose pairs are refused: the rig places them as given
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in an accepted rough model
     run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images
 
 
-@dataclass(frozen=True)
-class Account:
+@dataclass
+class Account(Findings):
     """The runs of a reconstruction and the remarks on them."""
 
     runs: list[list] = field(default_factory=list)  # rows of ``RUN_COLUMNS``
-    notes: list[str] = field(default_factory=list)
-    contradictions: list[str] = field(default_factory=list)
-    tables: dict[str, dict] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class RigsUsed:
-    """The rigs that the mappers are given, by scene index; how each rig of the scene is to be used (``rig_modes``);
-    and keys of the sensors that these rigs place as they are given."""
-
-    given: dict[int, Rig]
-    modes: dict[int, str]
-    unsupported: tuple[int, ...] = ()
-
-    @staticmethod
-    def known(scene: Scene, modes: dict[int, str]) -> RigsUsed:
-        """The rigs whose extrinsics are given."""
-        return RigsUsed({k: scene.rigs[k] for k, mode in modes.items() if mode != "derived"}, modes)
-
-    def used(self) -> dict[int, str]:
-        """How each rig that is given is used."""
-        return {k: self.modes[k] for k in self.given}
-
-    def text(self) -> str:
-        """The same as text, several joined by +."""
-        return "+".join(sorted(set(self.used().values()))) or "absent"
-
-    def held_by_mapper(self, tuning: RigTuning) -> list[int]:
-        """The rigs whose extrinsics a mapper keeps."""
-        return [k for k, rig in self.given.items() if held_by_mapper(rig, self.modes[k], tuning)]
 
 
 @dataclass(frozen=True)
@@ -115,7 +84,20 @@ class Job:
     log: Path
     graph: ViewGraph
     account: Account
-    rigs: RigsUsed
+    modes: Mapping[int, str]  # how each rig that the mappers are given is used (``rig_modes``)
+
+    def rigs_text(self) -> str:
+        """How the rigs are used, several ways joined by +."""
+        return "+".join(sorted(set(self.modes.values()))) or "absent"
+
+    def held_rigs(self) -> tuple[int, ...]:
+        """The rigs whose extrinsics a mapper keeps."""
+        return held_by_mapper(self.scene, self.modes, self.tuning.rig)
+
+    def matches(self, only: np.ndarray | None = None) -> MatchSource:
+        """The verified matches, of some images only if these are named."""
+        source = self.source
+        return MatchSource(source.database, source.refused, least=self.settings.min_matches, only=only)
 
 
 @dataclass(frozen=True)
@@ -129,16 +111,17 @@ class Outcome:
     died: bool = False  # there is no model because its process ended
 
 
-def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool, tuning: MappingTuning) -> str:
+def choose_mapper(job: Job) -> str:
     """The mapper of the setting; for "auto", global with a rig or from 60 images, else incremental.
 
     Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
     in 589 s incremental, whose first adjustments of few images bend an uncertain rig. Below some tens of images the
     incremental mapper is as fast, and it can use position priors (PYCOLMAP section 4).
     """
-    if settings.mapper in ("incremental", "global"):
-        return settings.mapper
-    return "global" if constrained or len(scene) >= tuning.global_from_images else "incremental"
+    if job.settings.mapper in ("incremental", "global"):
+        return job.settings.mapper
+    large = len(job.scene) >= job.tuning.mapping.global_from_images
+    return "global" if job.modes or large else "incremental"
 
 
 def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
@@ -166,25 +149,24 @@ def map_images(job: Job, label: str = "") -> Outcome:
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
-    large = not in_one_piece(job.scene, job.shared.blocks)
-    asked = job.settings.mapper == "auto"
-    if not label and job.source.preview is not None and asked:
+    whole = in_one_piece(job.scene, job.shared.blocks)
+    asked, notes = job.settings.mapper == "auto" and not label, job.account.notes
+    if asked and job.source.preview is not None:
         outcome = _run(job, "preview", label)
         if outcome.folders:
             return _with_others(job, outcome)
-        job.account.notes.append(
+        notes.append(
             f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
             "initial poses"
         )
-    if not label and large and asked and not job.source.rough:
-        mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
-        request = replace(_request(job, mapper), positions=False)
-        cam_from_world, notes = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.source.run_map)
-        job.account.notes.extend(notes)
+    if asked and not whole and not job.source.rough:
+        request = _request(job, choose_mapper(job))
+        cam_from_world, said = poses_by_blocks(request, job.graph, job.shared, job.log, job.source.run_map)
+        notes.append(said)
         outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
         if outcome.folders:
             return _with_others(job, outcome)
-        job.account.notes.append(
+        notes.append(
             f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
         )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
@@ -204,19 +186,19 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     Cameras that look away from each other hardly determine this length; PandaSet's coarse model was 16 times too
     large.
     """
-    held = job.rigs.held_by_mapper(job.tuning.rig)
+    held, tuning = job.held_rigs(), job.tuning
     if not held:
         return outcome
-    verified = read_verified(job.source.database, job.scene, job.source.refused)
     poses = image_poses(read_model(outcome.folders[0]), job.scene)
-    length = length_of_path(frame_poses(poses, job.scene), job.scene, held, verified, job.tuning.start.scale)
-    most = job.tuning.mapping.other_length
-    if length is None or not np.isfinite(length.scale) or 1 / most < length.scale < most:
+    frames, verified = frame_poses(poses, job.scene), job.matches().read(job.scene)
+    length = length_of_path(frames, job.scene, held, verified, tuning.start.scale)
+    most = tuning.start.scale.near
+    if length is None or not np.isfinite(length[0]) or 1 / most < length[0] < most:
         return outcome
     again = _run(_starting_at(job, poses), "preview", "with the path scaled to the rig")
-    if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
+    if again.registered < tuning.mapping.clearly_fewer * outcome.registered:
         job.account.notes.append(
-            f"the path of the model should be {length.scale:.3g} times as long to agree with its rig, by {length.by}; "
+            f"the path of the model should be {length[0]:.3g} times as long to agree with its rig, by {length[1]}; "
             f"with that length fewer images could be placed ({again.registered} of {outcome.registered}), so it was "
             f"not changed; {again.refused}"
         )
@@ -234,8 +216,7 @@ def _with_others(job: Job, outcome: Outcome) -> Outcome:
     component = job.graph.component
     rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
     if outcome.mapper == "preview" and len(rest) >= job.tuning.mapping.second_survey:
-        mapper = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
-        other = _run(job, mapper, "of the images not tied to it", only=rest)
+        other = _run(job, choose_mapper(job), "of the images not tied to it", only=rest)
         both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
         outcome = replace(outcome, folders=both)
     there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
@@ -261,7 +242,7 @@ def _mapped(job: Job, label: str) -> Outcome:
     nearly as well, and the model grows from it: of a car that drove off (PandaSet's front camera) to a drive along a
     plane, rotated by 16 deg in the end, with 0.38 px instead of 0.28. The global mapper weighs all pairs at once.
     """
-    first = choose_mapper(job.scene, job.settings, bool(job.rigs.given), job.tuning.mapping)
+    first = choose_mapper(job)
     auto, rough = job.settings.mapper == "auto", job.source.rough
     reachable, tuning = job.graph.components[0], job.tuning.mapping
     enough = (tuning.roughly_fewer if rough else tuning.clearly_fewer) * reachable if auto else 0
@@ -294,8 +275,8 @@ def _explained(job: Job, outcome: Outcome) -> float:
     """Share of all verified matches that the first model of an outcome explains."""
     if not outcome.folders:
         return 0.0
-    verified = read_verified(job.source.database, job.scene, job.source.refused)
-    return share_explained(read_model(outcome.folders[0]), job.scene, verified, job.tuning.placement.agreement)
+    model, verified = read_model(outcome.folders[0]), job.matches().read(job.scene)
+    return share_explained(model, job.scene, verified, job.tuning.placement.agreement)
 
 
 def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
@@ -310,11 +291,7 @@ def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome
     again = _run(job, _OTHER[outcome.mapper], label)
     if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
         return outcome
-    fixed = [k + 1 for k in job.rigs.held_by_mapper(job.tuning.rig)]
-    believed = believed_cameras(job.scene, job.settings)
-    before, after = (
-        cost_in_the_end(m, fixed, believed, job.tuning.adjust) for m in (model, read_model(again.folders[0]))
-    )
+    before, after = (cost_in_the_end(m, job) for m in (model, read_model(again.folders[0])))
     kept = again if after < before else outcome
     job.account.notes.append(
         f"{outcome.mapper} mapping made {off}; by {again.mapper} mapping the robust sum of squares is "
@@ -323,38 +300,29 @@ def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome
     return kept
 
 
-def _request(job: Job, mapper: str, seed: int = 0) -> Request:
-    constant = believed_cameras(job.scene, job.settings)
+def _request(job: Job, mapper: str, seed: int = 0, only: np.ndarray | None = None) -> Request:
+    method = Method(
+        mapper=mapper,
+        seed=job.settings.seed + seed,
+        rough=job.source.rough,
+        positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
+        poses=job.source.preview if mapper == "preview" else None,
+    )
     return Request(
-        method=Method(mapper, job.settings.seed + seed, rough=job.source.rough),
-        matches=Matches(job.source.database, job.settings.min_matches, job.source.refused),
-        fixed=Fixed(
-            rigs=tuple(job.rigs.held_by_mapper(job.tuning.rig)),
-            cameras=constant,
-            all_cameras=len(constant) == len(job.scene.all_sensors),
-        ),
+        method=method,
+        matches=job.matches(only),
+        rigs=RigsUsed(tuple(job.modes), job.held_rigs(), believed_cameras(job.scene, job.settings)),
         images=job.source.images,
         folder=job.out / SCRATCH / f"{len(job.account.runs)}-{mapper}",
-        scene=job.scene.to_json(),
-        rigs=Request.rigs_of(job.rigs.given),
-        positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
+        scene=job.scene,
         tuning=job.tuning,
-        poses=job.source.preview if mapper == "preview" else None,
     )
 
 
-def _run(
-    job: Job,
-    mapper: str,
-    label: str,
-    seed: int = 0,
-    only: np.ndarray | None = None,
-) -> Outcome:
-    scene = job.scene
-    request = _request(job, mapper, seed)
-    request = replace(request, matches=replace(request.matches, only=only))
+def _run(job: Job, mapper: str, label: str, seed: int = 0, only: np.ndarray | None = None) -> Outcome:
+    scene, request = job.scene, _request(job, mapper, seed, only)
     total = len(scene)
-    per_frame = total / max(scene.frames, 1) if job.rigs.given else 1.0
+    per_frame = total / max(scene.frames, 1) if job.modes else 1.0
     job.source.on_progress(0, total)
     start, died = time.monotonic(), ""
     try:
@@ -372,8 +340,7 @@ def _run(
     folders = mapped.folders
     job.account.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
     registered, points = _seeing(folders[0], scene, job.tuning.adjust.min_points) if folders else (0, 0)
-    rig = job.rigs.text()
-    held = "positions" if request.positions else "none"
+    rig, held = job.rigs_text(), "positions" if request.method.positions else "none"
     job.account.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
     return Outcome(mapper=mapper, folders=folders, registered=registered, refused=mapped.refused, died=bool(died))
@@ -384,13 +351,8 @@ def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
     return int(np.sum(observations(reconstruction, scene) >= least)), reconstruction.num_points3D()
 
 
-# --- focal lengths that diverged while a mapper started from nothing
-# ---------------------------------------------------
-
-
-def cost_in_the_end(
-    model: pycolmap.Reconstruction, fixed_rigs: Collection[int], constant_cameras: Collection[int], tuning: AdjustTuning
-) -> float:
+def cost_in_the_end(model: pycolmap.Reconstruction, job: Job) -> float:
     """Mean Cauchy cost of an observation after the final adjustment, px2."""
-    adjusted = final_adjustment(model, fixed_rigs, constant_cameras, tuning=tuning).model
+    tuning, cameras = job.tuning.adjust, believed_cameras(job.scene, job.settings)
+    adjusted = final_adjustment(model, [k + 1 for k in job.held_rigs()], cameras, tuning=tuning).model
     return robust_cost(adjusted, tuning.robust_px)

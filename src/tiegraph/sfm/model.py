@@ -1,4 +1,7 @@
-"""The scene's frames in a model: poses, held-out positions, tables. Arrays of a model are in ``scene.colmapmodel``."""
+"""The scene's frames in a model: poses, held-out positions, tables, remarks. Arrays of a model are in
+``scene.colmapmodel``."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -6,6 +9,26 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.world import FixTuning
+
+
+@dataclass
+class Findings:
+    """Remarks on models, contradictions between given values and the images, tables, counts, and (image name, reason)
+    of images that are left out."""
+
+    notes: list[str] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    tables: dict[str, dict] = field(default_factory=dict)
+    counts: dict[str, float] = field(default_factory=dict)
+    dropped: list[tuple[str, str]] = field(default_factory=list)
+
+    def add(self, other: "Findings") -> None:
+        """Add the findings of a further step."""
+        self.notes += other.notes
+        self.contradictions += other.contradictions
+        self.tables |= other.tables
+        self.counts |= other.counts
+        self.dropped += other.dropped
 
 
 def rig_from_sensor(scene: Scene, scale: float = 1.0) -> np.ndarray:

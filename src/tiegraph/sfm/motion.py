@@ -11,7 +11,7 @@ step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,47 +119,57 @@ def in_their_time(
 ) -> pycolmap.Reconstruction:
     """A copy of a model adjusted at one instant, with the images of late cameras at the places where they fired: as
     frames of their own of the same rig, with ids beyond those of the scene."""
-    frames = []
-    for frame in model.frames.values():
-        apart = [d for d in frame.data_ids if d.id in motion and late.cameras.get(d.sensor_id.id)]
-        frames.append(_frame(frame.frame_id, frame.rig_id, [d for d in frame.data_ids if d not in apart], frame))
-        for data in apart:
-            own = _frame(scene.frames + data.id, frame.rig_id, [data], frame)
-            pose = rigid3d(motion.pose(data.id, late.cameras[data.sensor_id.id]))
-            assert own.rig_from_world is not None
-            own.rig_from_world = own.rig_from_world * model.image(data.id).cam_from_world().inverse() * pose
-            frames.append(own)
-    out = pycolmap.Reconstruction(model)
-    out.set_rigs_and_frames([_copied(rig) for rig in model.rigs.values()], [f for f in frames if f.data_ids])
-    return out
+
+    def own(frame: pycolmap.Frame, data: pycolmap.data_t) -> tuple[int, pycolmap.Rigid3d | None] | None:
+        if data.id not in motion or not late.cameras.get(data.sensor_id.id):
+            return None
+        pose = rigid3d(motion.pose(data.id, late.cameras[data.sensor_id.id]))
+        assert frame.rig_from_world is not None
+        return frame.rig_id, frame.rig_from_world * model.image(data.id).cam_from_world().inverse() * pose
+
+    return _with_own_frames(model, scene, [_copied(rig) for rig in model.rigs.values()], own)
 
 
 def let_go(model: pycolmap.Reconstruction, cameras: set[int], scene: Scene) -> pycolmap.Reconstruction:
     """A copy of a model in which the images of these cameras (COLMAP ids) leave the rig and keep their places."""
-    rigs, frames = [_copied(rig, cameras) for rig in model.rigs.values()], []
-    for frame in model.frames.values():
-        alone = [d for d in frame.data_ids if d.sensor_id.id in cameras]
-        frames.append(_frame(frame.frame_id, frame.rig_id, [d for d in frame.data_ids if d not in alone], frame))
-        for data in alone:
-            own = _frame(scene.frames + data.id, len(scene.rigs) + data.sensor_id.id, [data], frame)
-            if frame.has_pose():
-                own.rig_from_world = model.image(data.id).cam_from_world()
-            frames.append(own)
+    rigs = [_copied(rig, cameras) for rig in model.rigs.values()]
     for camera in sorted(cameras):
-        row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)
-        row.add_ref_sensor(sensor_id(camera))
-        rigs.append(row)
+        rigs.append(pycolmap.Rig(rig_id=len(scene.rigs) + camera))
+        rigs[-1].add_ref_sensor(sensor_id(camera))
+
+    def own(frame: pycolmap.Frame, data: pycolmap.data_t) -> tuple[int, pycolmap.Rigid3d | None] | None:
+        if data.sensor_id.id not in cameras:
+            return None
+        pose = model.image(data.id).cam_from_world() if frame.has_pose() else None
+        return len(scene.rigs) + data.sensor_id.id, pose
+
+    return _with_own_frames(model, scene, rigs, own)
+
+
+Own = Callable[[pycolmap.Frame, pycolmap.data_t], tuple[int, pycolmap.Rigid3d | None] | None]
+"""Rig and pose of the own frame of an image; None: it stays in its frame."""
+
+
+def _with_own_frames(
+    model: pycolmap.Reconstruction, scene: Scene, rigs: list[pycolmap.Rig], own: Own
+) -> pycolmap.Reconstruction:
+    frames = []
+    for frame in model.frames.values():
+        each = [(data, own(frame, data)) for data in frame.data_ids]
+        pose = frame.rig_from_world if frame.has_pose() else None
+        frames.append(_frame(frame.frame_id, frame.rig_id, [data for data, found in each if found is None], pose))
+        frames += [_frame(scene.frames + data.id, found[0], [data], found[1]) for data, found in each if found]
     out = pycolmap.Reconstruction(model)
     out.set_rigs_and_frames(rigs, [f for f in frames if f.data_ids])
     return out
 
 
-def _frame(frame_id: int, rig_id: int, data: list[pycolmap.data_t], like: pycolmap.Frame) -> pycolmap.Frame:
+def _frame(frame_id: int, rig_id: int, data: list[pycolmap.data_t], pose: pycolmap.Rigid3d | None) -> pycolmap.Frame:
     out = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
     for one in data:
         out.add_data_id(one)
-    if like.has_pose():
-        out.rig_from_world = like.rig_from_world
+    if pose is not None:
+        out.rig_from_world = pose
     return out
 
 

@@ -1,58 +1,178 @@
-"""The place of every frame is tested before the final adjustment, and doubtful frames are placed again.
+"""The place of every frame is tested by its verified matches; doubtful frames are placed again, or left out.
 
-The mapper's model and a start are tested too (``consistency``). A wrongly placed part is moved as a whole by one
-similarity; single doubtful frames, and frames without a place, are placed by their matches with the others (``run``).
-Only frames still in doubt in the end are left out. A coarse model of ``seneca`` (167 photographs from a wing) had some
-at a wrong place, which drew others after them: 159 were placed instead of 166. A section that slid, or a model that
-tore, is right within itself. Its matches with the rest, whose points exist on both sides, determine how the two fit
-together. Placing it frame by frame would lose everything beyond what the rest sees: of 90 frames of a corridor torn in
-the middle, 18 found no place.
+A repeated wall can hold a frame, a block or a whole pass at a wrong place with ties that agree with each other, and a
+bad start lets a frame slide along a straight path. The verified matches that the mapper had to reject reveal it: the
+points that other frames made of them are not where this frame sees them (``verified``). A frame is in doubt if the
+model rejects clearly more of its matches than it explains.
+
+Frames are tested singly and in the groups that their agreeing ties join: each of three wrongly placed frames has most
+of its ties with the other two, which agree. The continuity of a pass is no evidence: photographs of a yard are
+numbered with jumps. Testing the neighbours on a pass first, asking for two agreeing frames or counting whole pairs by
+the share that agrees finds no more (``slid.py`` in ``benchmarks/sfm/README.md``).
+
+The mapper's model and a start are tested too. A wrongly placed part is moved as a whole by one similarity; single
+doubtful frames, and frames without a place, are placed by their matches with the others (``run``). Only frames still
+in doubt in the end are left out. A coarse model of ``seneca`` (167 photographs from a wing) had some at a wrong place,
+which drew others after them: 159 were placed instead of 166. A section that slid, or a model that tore, is right within
+itself. Its matches with the rest, whose points exist on both sides, determine how the two fit together. Placing it
+frame by frame would lose everything beyond what the rest sees: of 90 frames of a corridor torn in the middle, 18 found
+no place.
 
 Where the matches support a second place so strongly that the first does not clearly win, the user must know both, and
 the sigma of the frame must cover them.
 """
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
+from scipy.sparse import coo_array, csr_array, triu
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama
 from tiegraph.scene.colmapmodel import LEFT_OUT, matrix, rigid3d
 from tiegraph.scene.evidence import LIMIT
+from tiegraph.scene.graph import strongest_first
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.consistency import Explained, MatchSource, explained
+from tiegraph.sfm.model import Findings
 from tiegraph.sfm.ties import Ties, find_ties, fits, tested, together
-from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.tuning.placement import ConsistencyTuning, PlacementTuning
 from tiegraph.sfm.verified import (
     ImageObservations,
+    MatchSource,
     VerifiedMatches,
     agreement,
+    image_observations,
     pose_after,
     sightings,
     together_seen,
 )
 from tiegraph.text import some
 
+_LEAST = 5  # frames in a table
 _NAMED = 4  # frames named in a remark; the table has all
 _NAMED_RIVALS = 3  # frames named in a sentence
 _LEAST_M = 0.01  # sigma of a measured position, at least
 
 
-@dataclass(frozen=True)
-class PlacementCheck:
-    """Remarks, a table {"columns", "rows"} of the frames left out, and (image, reason) of each."""
+Votes = tuple[csr_array, csr_array]
+"""(F, F) matches between frames that a model explains, and that it contradicts, from the points of the row's frame."""
 
-    notes: list[str] = field(default_factory=list)
-    table: dict | None = None
-    dropped: list[tuple[str, str]] = field(default_factory=list)
+
+def consistency_votes(verified: VerifiedMatches, agreed: np.ndarray, scene: Scene) -> Votes:
+    """Sum the votes of image pairs (``verified.agreement``) over pairs of frames."""
+    first, second = scene.frame[verified.pairs].T
+    apart = first != second
+    at = np.concatenate([first, second]), np.concatenate([second, first])
+    agree, against = (
+        coo_array((np.tile(apart, 2) * v, at), (scene.frames, scene.frames)).tocsr()
+        for v in (agreed[:, :2].T.ravel(), (agreed[:, 2:] - agreed[:, :2]).T.ravel())
+    )
+    return agree, against
+
+
+def contradiction(
+    frames: Collection[int], believed: np.ndarray, votes: Votes, least: float, ratio: float
+) -> tuple[float, str]:
+    """The excess of contradicting over agreeing matches between frames and trusted others (F,) bool, and the reason
+    why that speaks against their place; "" if they are fewer than ``least`` or ``ratio`` times the agreeing ones."""
+    others, own = believed.astype(float), list(frames)
+    others[own] = 0
+    agree, against = (float((table[own] @ others).sum()) for table in votes)
+    doubtful = against >= least and against > ratio * agree
+    why = f"most of its matches contradict its place in the model ({against:.0f} to {agree:.0f})" if doubtful else ""
+    return against - agree, why
+
+
+def suspect_frames(placed: Collection[int], votes: Votes, least: float, ratio: float) -> dict[tuple[int, ...], str]:
+    """Placed frames whose matches contradict their place, with the reason: singly, or together with the frames they
+    are tied to most. Frames with the most contradictions come first, because a pass at a wrong place makes every
+    other frame contradict too. Never the larger half."""
+    believed = np.zeros(votes[0].shape[0], bool)
+    believed[list(placed)] = True
+    half = max(1, len(placed) // 2)
+    out: dict[tuple[int, ...], str] = {}
+    asked = [[frame] for frame in sorted(placed)] + list(_groups(votes, believed, half))
+    told = [(*contradiction(frames, believed, votes, least, ratio), frames) for frames in asked]
+    for _, why, frames in sorted(told, key=lambda one: -one[0]):
+        own = [f for f in frames if believed[f]]
+        if not why or not 0 < len(own) <= max(1, int(believed.sum()) // 2):
+            continue
+        if why := contradiction(own, believed, votes, least, ratio)[1]:
+            together = f", tested together with the {len(own) - 1} frames it is tied to most" if len(own) > 1 else ""
+            out[tuple(own)] = why + together
+            believed[own] = False
+    return out
+
+
+def _groups(votes: Votes, placed: np.ndarray, most: int) -> Iterator[list[int]]:
+    """Groups of frames that agreeing ties join, up to this size."""
+    strength = triu(votes[0] + votes[0].T, 1, format="coo")
+    strength.eliminate_zeros()
+    for group in strongest_first(strength.row, strength.col, strength.data, len(placed)):
+        own = group[placed[group]].tolist()
+        if 1 < len(own) <= most:
+            yield own
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Which verified matches a model explains, by pair of images (``agreement``), and why frames are in doubt: single
+    frames, and ``parts`` that are wrong together."""
+
+    scene: Scene
+    verified: VerifiedMatches
+    seen: ImageObservations
+    agreed: np.ndarray
+    votes: Votes
+    parts: Mapping[tuple[int, ...], str]
+    tuning: ConsistencyTuning
+
+    @property
+    def doubts(self) -> dict[int, str]:
+        """Reasons by frame."""
+        return {f: why for frames, why in self.parts.items() for f in frames}
+
+    def in_doubt(self, ratio: float) -> "Explained":
+        """With the parts that so many times as many matches contradict as agree with."""
+        placed = {int(self.scene.frame[k]) for k in self.seen.cameras}
+        return replace(self, parts=suspect_frames(placed, self.votes, self.tuning.min_votes, ratio))
+
+    def percent(self) -> float:
+        """Percentage of the matches with a verdict that the model explains."""
+        return float(50 * self.agreed[:, :2].sum() / max(self.agreed[:, 2].sum(), 1.0))
+
+    def of_frames(self) -> np.ndarray:
+        """(F, 2): explained matches of each frame with others, and all of them."""
+        agree, against = (np.asarray(table.sum(axis=1)) for table in self.votes)
+        return np.column_stack([agree, agree + against])
+
+    def table(self) -> dict:
+        """Table of the frames whose matches with others the model explains least."""
+        matches = self.of_frames()
+        share = matches[:, 0] / np.maximum(matches[:, 1], 1)
+        least = [f for f in np.argsort(share, kind="stable").tolist() if matches[f, 1] > 0][:_LEAST]
+        rows = [[self.scene.frame_names[f], int(matches[f, 1]), round(100 * float(share[f]), 1)] for f in least]
+        return {"columns": ["frame", "matches", "explained %"], "rows": rows}
+
+
+def explained(
+    model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: PlacementTuning
+) -> Explained:
+    """Test a model against all its verified matches."""
+    seen = image_observations(model, scene, tuning.agreement)
+    agreed = agreement(verified, seen)
+    votes = consistency_votes(verified, agreed, scene)
+    found = Explained(
+        scene=scene, verified=verified, seen=seen, agreed=agreed, votes=votes, parts={}, tuning=tuning.consistency
+    )
+    return found.in_doubt(tuning.consistency.loses)
 
 
 def leave_out_doubtful(
     model: pycolmap.Reconstruction, scene: Scene, source: MatchSource, tuning: PlacementTuning
-) -> PlacementCheck:
+) -> Findings:
     """Test the place of every frame and remove the doubtful ones from ``model``.
 
     If more than ``tuning.max_left_out`` of the frames are in doubt, the model fell apart: none is removed, and a
@@ -60,28 +180,23 @@ def leave_out_doubtful(
     """
     found = explained(model, scene, source.read(scene), tuning)
     confirmed = confirmed_places(part_places(found, tuning), scene)[1]
-    why = {f: reason for f, reason in found.doubts.items() if f not in confirmed}
+    why = {f: reason for f, reason in sorted(found.doubts.items()) if f not in confirmed}
+    said = f"{len(why)} of {scene.frames} frames"
     if not why:
-        return PlacementCheck()
-    notes: list[str] = []
+        return Findings()
     if len(why) > tuning.max_left_out * scene.frames:
-        notes.append(
-            f"{len(why)} of {scene.frames} frames are at doubtful places; because they are so many, none is left out "
-            f"({named(why, scene)})"
-        )
-        return PlacementCheck(notes)
-    notes.append(
-        f"{len(why)} of {scene.frames} frames were at a doubtful place and are left out; see the table of placement"
-    )
+        many = f"{said} are at doubtful places; because they are so many, none is left out ({named(why, scene)})"
+        return Findings([many])
+    out = Findings([f"{said} were at a doubtful place and are left out; see the table of placement"])
     rows: list[list[str]] = []
-    dropped: list[tuple[str, str]] = []
-    for frame, reason in sorted(why.items()):
+    for frame, reason in why.items():
         names = [scene.names[k] for k in np.flatnonzero(scene.frame == frame)]
         for frame_id in frame_ids(model, scene, frame):
             model.deregister_frame(frame_id)
         rows.append([names[0], reason])
-        dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
-    return PlacementCheck(notes, {"columns": ["frame", "left out because"], "rows": rows}, dropped)
+        out.dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
+    out.tables["placement"] = {"columns": ["frame", "left out because"], "rows": rows}
+    return out
 
 
 def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
@@ -136,8 +251,8 @@ def _rival(found: Explained, frame: int) -> Rival | None:
         return None
     poses = [seen.cam_from_world[k] for k in images]
     cameras = [seen.cameras[k] for k in images]
-    options = pycolmap.RANSACOptions(random_seed=0)
-    options.max_error = seen.tuning.tolerance_rad * float(np.median([c.mean_focal_length() for c in cameras]))
+    focal = float(np.median([c.mean_focal_length() for c in cameras]))
+    options = pycolmap.RANSACOptions(random_seed=0, max_error=seen.tuning.tolerance_rad * focal)
     made = pycolmap.estimate_generalized_absolute_pose(
         told.xy[off], told.xyz[off], np.searchsorted(images, told.image[off]).tolist(),
         [rigid3d(p @ transforms.invert(poses[0])) for p in poses], cameras, options,
@@ -175,7 +290,7 @@ def placed_anew(
     found = explained(model, scene, verified, tuning)
     places = part_places(found, tuning)
     poses = {
-        k: _moved(pose, place.move)
+        k: rigid3d(pose_after(matrix(pose), place.move))
         for place in places
         if place.wins
         for f in place.frames
@@ -274,7 +389,3 @@ def _centres(found: Explained) -> np.ndarray:
     for k in sorted(found.seen.cameras, key=lambda k: -int(found.scene.sensor[k])):
         out[found.scene.frame[k]] = transforms.centre(found.seen.cam_from_world[k])
     return out
-
-
-def _moved(rig_from_world: pycolmap.Rigid3d, move: Similarity) -> pycolmap.Rigid3d:
-    return rigid3d(pose_after(matrix(rig_from_world), move))

@@ -1,28 +1,35 @@
-"""Images that a reconstruction lost, with the reasons, as tables and remarks."""
+"""Images that a reconstruction lost, with the reasons, as tables and remarks; why there is no model at all."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.colmapmodel import BY_RIG, LEFT_OUT, Registration, tracks
+from tiegraph.geometry import transforms
+from tiegraph.scene.colmapdatabase import Rows, image_ids
+from tiegraph.scene.colmapmodel import BY_RIG, Registration, tracks
 from tiegraph.scene.graph import WeaklyTied, named, weakly_tied
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.tuning import RegistrationTuning, Tuning
+from tiegraph.scene.sorting import evenly
+from tiegraph.sfm.tuning import MappingTuning, Tuning
+from tiegraph.sfm.verified import ViewGraph
 from tiegraph.text import some
 
 _NAMED = 5  # frames or groups named in a remark
+_PAIRS, _MATCHES, _LEAST = 200, 50, 3  # pairs tested, matches of a pair, fewest pairs for a verdict
+_ANY = np.geomspace(0.35, 3.0, 28)  # focal lengths as shares of the longer side: views of 110 to 19 degrees
+_NEAR = np.geomspace(1 / 1.3, 1.3, 8)  # factors on a focal length from EXIF or a file
 
 
 def unregistered(
-    scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray], known: Mapping[str, str] | None = None
+    scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray], left_out: Mapping[str, str]
 ) -> list[tuple[str, str]]:
     """(image name, reason) of each image that is not in the first model.
 
-    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by image name,
-    why an image was left out, or what else was tried.
+    ``registered`` holds the scene indices of each model's images, the first model first; ``left_out``: by image
+    name, why an image was left out.
     """
     main = np.zeros(len(scene), bool)
     main[registered[0]] = True
@@ -34,9 +41,8 @@ def unregistered(
         other.update({int(k): number for k in registered[number]})
     out = []
     for k in np.flatnonzero(~main):
-        said = (known or {}).get(scene.names[k], "")
-        if said.startswith(LEFT_OUT):
-            reason = said
+        if scene.names[k] in left_out:
+            reason = left_out[scene.names[k]]
         elif graph.features[k] == 0:
             reason = "no features (masked, blank or unreadable)"
         elif graph.degree[k] == 0:
@@ -49,20 +55,19 @@ def unregistered(
             reason = (
                 f"{graph.degree[k]} verified pairs, but neither the mapper nor its matches gave it a reliable place"
             )
-        tried = f"; {said}" if said and not said.startswith(LEFT_OUT) else ""
-        out.append((scene.names[k], reason + tried))
+        out.append((scene.names[k], reason))
     return out
 
 
 def weakly_constrained(
-    scene: Scene, graph: ViewGraph, found: Registration, weak: Sequence[WeaklyTied], tuning: RegistrationTuning
+    scene: Scene, graph: ViewGraph, found: Registration, weak: Sequence[WeaklyTied], enough: int
 ) -> list[str]:
     """Sentences on images that have a place in a model but little evidence for it. ``weak``: see ``few_points``."""
-    return [*_by_rig(scene, found), *_on_few_points(scene, weak, tuning.few_points), *_islands(scene, graph, found)]
+    return [*_by_rig(scene, found), *_on_few_points(scene, weak, enough), *_islands(scene, graph, found)]
 
 
 def few_points(
-    model: pycolmap.Reconstruction, scene: Scene, found: Registration, tuning: RegistrationTuning
+    model: pycolmap.Reconstruction, scene: Scene, found: Registration, enough: int
 ) -> tuple[WeaklyTied, ...]:
     """Frames, and groups of frames, that share so few points of a model with all others that the sigma of the others
     does not apply to them. Points seen by two images only do not count: their rays meet at any distance between the
@@ -72,7 +77,7 @@ def few_points(
     image, point = image[several], point[several]
     there = np.zeros(scene.frames, bool)
     there[scene.frame[found.placed]] = True
-    return weakly_tied(point, scene.frame[image], there, tuning.few_points)
+    return weakly_tied(point, scene.frame[image], there, enough)
 
 
 def _by_rig(scene: Scene, found: Registration) -> list[str]:
@@ -123,10 +128,10 @@ def _named(scene: Scene, images: np.ndarray) -> str:
 def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
     """Counts and remedies for a reconstruction that gave no model."""
     with_features = int(np.sum(graph.features > 0))
-    components = graph.components
+    components, usual = graph.components, int(np.median(graph.inliers)) if len(graph.inliers) else 0
     return (
         f"no model: {why}. Of {len(scene)} images {with_features} have features; {len(graph.pairs)} pairs are verified "
-        f"with {int(graph.inliers.sum())} matches in all (median {_median(graph.inliers)} a pair), the largest "
+        f"with {int(graph.inliers.sum())} matches in all (median {usual} a pair), the largest "
         f"connected part holds {components[0] if components else 0} images. Remedies: look whether images overlap and "
         f"the masks leave enough of them, match more pairs (candidates.sources = exhaustive for a small set), raise "
         f"features.max_features, lower sparse.min_matches"
@@ -198,44 +203,25 @@ def _turned_deg(cameras: Any, key: int, given: pycolmap.Camera | None) -> float:
 def models_table(models: Sequence[Any]) -> dict:
     """Table of the models (``mapper.Model``), most images first."""
     rows = [
-        [
-            k,
-            m.registered,
-            len(m.images) - m.registered,
-            m.frames,
-            m.points,
-            round(m.reprojection_px, 3),
-            round(m.track_length, 2),
-        ]
+        [k, m.registered, len(m.images) - m.registered, m.frames, m.points, round(m.reprojection_px, 3),
+         round(m.track_length, 2)]
         for k, m in enumerate(models)
-    ]
+    ]  # fmt: skip
     columns = ["model", "registered", BY_RIG, "frames", "points", "reprojection px", "track length"]
     return {"columns": columns, "rows": rows}
 
 
 def camera_table(reconstruction: pycolmap.Reconstruction, scene: Scene) -> dict:
     """Table of the cameras: focal length before and after, distortion."""
-    before = {k + 1: s for k, s in enumerate(scene.all_sensors)}
+    sensors = dict(enumerate(scene.all_sensors, start=1))
     rows = []
     for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
-        camera = reconstruction.camera(camera_id)
-        sensor = before.get(camera_id)
-        given = sensor.camera.mean_focal_length() if sensor is not None and sensor.camera is not None else float("nan")
-        extra = [float(f"{camera.params[i]:.5g}") for i in camera.extra_params_idxs()]
-        rows.append(
-            [
-                str(camera_id) if sensor is None else sensor.name,
-                camera.model.name,
-                None if np.isnan(given) else round(given, 2),
-                round(camera.mean_focal_length(), 2),
-                " ".join(f"{e:g}" for e in extra),
-            ]
-        )
+        camera, sensor = reconstruction.camera(camera_id), sensors.get(camera_id)
+        given = None if sensor is None or sensor.camera is None else round(sensor.camera.mean_focal_length(), 2)
+        extra = " ".join(f"{float(f'{camera.params[i]:.5g}'):g}" for i in camera.extra_params_idxs())
+        name = str(camera_id) if sensor is None else sensor.name
+        rows.append([name, camera.model.name, given, round(camera.mean_focal_length(), 2), extra])
     return {"columns": ["camera", "model", "focal px given", "focal px adjusted", "distortion"], "rows": rows}
-
-
-def _median(values: np.ndarray) -> int:
-    return int(np.median(values)) if len(values) else 0
 
 
 def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | None:
@@ -249,3 +235,65 @@ def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | 
         if not 1 / most < found_px / given_px < most:
             return f"the focal length of {sensor.name} {found_px:.0f} px, but {given_px:.0f} px are given"
     return None
+
+
+def no_base(database: Path, pairs: np.ndarray, scene: Scene, tuning: MappingTuning) -> str:
+    """Why none of the verified pairs (P, 2), scene indices, gives depth, in words; "" if some do, or if the cameras
+    of a rig are apart.
+
+    A pure rotation with a wrong focal length looks like a translation: points on a sphere, cameras on a circle, sigmas
+    of a thousandth. So the pairs are tested, with one focal length for all, whether rotations alone explain them
+    (Hartley and Zisserman, 13.3: x' = K R K^-1 x).
+    """
+    own = pairs[scene.sensor[pairs[:, 0]] == scene.sensor[pairs[:, 1]]]
+    if len(own) < _LEAST or any(len(r.sensors) > 1 and not r.stitched() for r in scene.rigs):
+        return ""
+    ids = image_ids(database, scene)
+    with Rows(database) as rows:
+        cameras = rows.cameras()
+        looked = [(ids[a], ids[b]) for a, b in own[evenly(len(own), _PAIRS)].tolist()]
+        xy = np.stack([_parts_of_side(rows, cameras, pair) for pair in looked])
+    given = cameras[looked[0][0]]
+    focal = given.mean_focal_length() / max(given.width, given.height)
+    tried = focal * _NEAR if given.has_prior_focal_length else _ANY
+    off, turn_deg = (np.stack(part) for part in zip(*(_turned(xy, f) for f in tried)))
+    best = int(np.argmin(np.median(off, axis=1)))
+    fits = off[best] < tuning.turned_off
+    if fits.mean() < tuning.turned_share:
+        return ""
+    which = f"{int(fits.sum())} of {len(fits)} pairs"
+    if tried[best] * np.median(np.radians(turn_deg[best])) < tuning.turned_off:  # a rotation without visible motion
+        return (
+            f"nothing moves between the images in {which}: most matches are on parts that do not move relative to the "
+            "camera, such as the background behind a turntable or a window in front of the lens: mask them "
+            "(masks.folder), or take the photographs in front of a plain background"
+        )
+    return (
+        f"the camera rotated on the spot: a rotation alone explains {which} (focal length {tried[best]:.2f} times the "
+        "longer side of the image); without a base there is no depth: take the photographs from different places"
+    )
+
+
+def _parts_of_side(rows: Rows, cameras: Mapping[int, pycolmap.Camera], pair: tuple[int, int]) -> np.ndarray:
+    """(2, _MATCHES, 2) key points of a pair from the middle of their images, as shares of the longer side."""
+    matches = rows.verified_of(*pair)
+    some = matches[np.linspace(0, len(matches) - 1, _MATCHES).round().astype(int)]
+    sizes = [np.array([cameras[k].width, cameras[k].height]) for k in pair]
+    return np.stack([(rows.keypoints_of(k)[m] - s / 2) / s.max() for k, m, s in zip(pair, some.T, sizes)])
+
+
+def _turned(xy: np.ndarray, focal: float) -> tuple[np.ndarray, np.ndarray]:
+    """(P,) medians of the residuals of pure rotations for key points (P, 2, M, 2), and (P,) degrees of these
+    rotations."""
+    rays = np.concatenate([xy, np.full((*xy.shape[:3], 1), focal)], axis=3)
+    rays /= np.linalg.norm(rays, axis=3, keepdims=True)
+    weight = np.ones(rays.shape[:1] + rays.shape[2:3])
+    off, turn = weight, np.eye(3)
+    for _ in range(3):  # robust by repeated weighting
+        u, _, vt = np.linalg.svd(np.einsum("pmi,pm,pmj->pij", rays[:, 1], weight, rays[:, 0]))
+        u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
+        turn = u @ vt
+        seen = rays[:, 0] @ turn.transpose(0, 2, 1)
+        off = np.linalg.norm(focal * seen[..., :2] / seen[..., 2:] - xy[:, 1], axis=2)
+        weight = 1 / np.maximum(off, 1e-3)
+    return np.median(off, axis=1), transforms.angle_deg(turn, np.eye(3))

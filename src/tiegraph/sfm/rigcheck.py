@@ -10,41 +10,42 @@ import pycolmap
 
 from tiegraph.scene.colmapmodel import image_poses, observations
 from tiegraph.scene.evidence import Statement
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment
-from tiegraph.sfm.adjustment.fewpoints import take_poses
-from tiegraph.sfm.adjustment.rigpriors import rig_priors
-from tiegraph.sfm.consistency import MatchSource
+from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment, take_poses
+from tiegraph.sfm.adjustment.constraints import PoseConstraints, rig_priors
+from tiegraph.sfm.model import Findings
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, let_go
-from tiegraph.sfm.rig.confront import in_units, lens_prior_test, mounting_errors, open_times, prior_test, refine
-from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics, torn_off
-from tiegraph.sfm.rig.priortest import PriorTest
-from tiegraph.sfm.rig.rigevidence import RigEvidence, statements
-from tiegraph.sfm.rig.support import units_per_metre
+from tiegraph.sfm.rig.confront import PriorTest, mounting_errors, open_times, prior_test, refine
+from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics, statements, torn_off
+from tiegraph.sfm.rig.rig import units_per_metre
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import MatchSource
 
 
 @dataclass(frozen=True)
 class Held:
-    """How rigs (scene indices) and cameras (COLMAP ids) are held by given values."""
+    """How the given values of rigs (scene indices) and cameras (COLMAP ids) are used."""
 
-    rigs: tuple[int, ...] = ()  # that the model was made with
-    fixed: tuple[int, ...] = ()  # rigs whose extrinsics stay
-    soft: tuple[int, ...] = ()  # rigs whose extrinsics are known with a sigma
-    ordered: tuple[int, ...] = ()  # rigs that the user wants as given, whatever the images show
+    modes: Mapping[int, str] = field(default_factory=dict)  # of the rigs that the model was made with (``rig_modes``)
+    ordered: bool = False  # the user wants the rigs as given, whatever the images show
     unsupported: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
     cameras: tuple[int, ...] = ()  # whose calibration stays
     lenses_ordered: bool = False  # by the user
     readout_ms: float | None = None  # of a rolling shutter; None: to be estimated
 
+    def fixed(self) -> list[int]:
+        """COLMAP ids of the rigs whose extrinsics stay."""
+        return [k + 1 for k, mode in self.modes.items() if mode == "fixed"]
+
 
 @dataclass(frozen=True)
 class FinishRequest:
-    """The input of finishing one model, in picklable form."""
+    """The input of finishing one model."""
 
     folder: Path
     target: Path
-    scene: str  # JSON
+    scene: Scene
     tuning: Tuning
     held: Held
     images: Path | None = None  # None = no colours
@@ -52,76 +53,41 @@ class FinishRequest:
     covariance_frames: int = 0  # 0: no sigmas wanted
     rough: bool = False  # as the mapper left it
 
-
-@dataclass
-class Checked:
-    """A model whose rigs were tested against the images, and the findings."""
-
-    model: pycolmap.Reconstruction
-    tables: dict[str, dict] = field(default_factory=dict)
-    off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings (``misplaced``)
-    contradictions: list[str] = field(default_factory=list)
-    statements: list[Statement] = field(default_factory=list)
-    late: dict[int, float] = field(default_factory=dict)  # camera id -> delay of those that fire at another time
-    notes: list[str] = field(default_factory=list)
-    misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
-
-
-@dataclass(frozen=True)
-class _Rig:
-    """Rig ``index`` of the scene with the data of its tests."""
-
-    scene: Scene
-    index: int
-    request: FinishRequest
-
-    @property
-    def name(self) -> str:
-        return self.scene.rigs[self.index].name
-
-    @property
-    def ordered(self) -> bool:
-        return self.index in self.request.held.ordered
-
-    @property
-    def fixed(self) -> bool:
-        return self.index in self.request.held.fixed
-
-    @property
-    def measured(self) -> bool:
-        return self.fixed or self.index in self.request.held.soft
-
-    def prior_test(self, model: pycolmap.Reconstruction, metres_per_unit: float, wide: float = 1.0) -> PriorTest | None:
-        """The given values that the images of a model contradict; ``wide``: as in ``adjusted``."""
-        return prior_test(model, self.scene, self.index, metres_per_unit, _wider(self.request.tuning, wide))
-
-    def lost(self, model: pycolmap.Reconstruction, changed: pycolmap.Reconstruction) -> tuple[int, ...]:
-        """Images that lose their place in the changed model, if that has fewer images in total.
-
-        An image counts if it sees enough points; without them it would still have a place from the rig.
-        """
-        least = self.request.tuning.adjust.min_points
-        before, after = (
-            np.isfinite(image_poses(m, self.scene)).all(axis=(1, 2)) & (observations(m, self.scene) >= least)
-            for m in (model, changed)
-        )
-        return tuple(np.flatnonzero(before & ~after).tolist()) if after.sum() < before.sum() else ()
+    def known(self, model: pycolmap.Reconstruction) -> PoseConstraints:
+        """The values of rig files that are known with a sigma."""
+        soft = [k for k, mode in self.held.modes.items() if mode == "soft"]
+        return rig_priors(model, self.scene, soft, self.tuning.rig.priors)
 
     def adjusted(
         self, model: pycolmap.Reconstruction, doubted: Sequence[int] = (), wide: float = 1.0
     ) -> pycolmap.Reconstruction:
         """A model adjusted with all given values of its rigs and lenses; ``wide``: factor on the tolerance for the
         errors of observations."""
-        held, tuning = self.request.held, _wider(self.request.tuning, wide)
-        known = rig_priors(model, self.scene, held.soft, tuning.rig.priors)
-        fixed = [k + 1 for k in held.fixed]
-        return final_adjustment(model, fixed, held.cameras, known, doubted, tuning=tuning.adjust).model
+        held, tuning = self.held, _wider(self.tuning, wide).adjust
+        return final_adjustment(model, held.fixed(), held.cameras, self.known(model), doubted, tuning=tuning).model
 
-    def nearly(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-        """The same for a model that is nearly adjusted."""
-        held, tuning = self.request.held, self.request.tuning
-        known = rig_priors(model, self.scene, held.soft, tuning.rig.priors)
-        return adjusted_to(model, [k + 1 for k in held.fixed], held.cameras, known, tuning=tuning.adjust)
+    def lost(self, model: pycolmap.Reconstruction, changed: pycolmap.Reconstruction) -> list[str]:
+        """Names of the images that lose their place in the changed model, if that has fewer images in total.
+
+        An image counts if it sees enough points; without them it would still have a place from the rig.
+        """
+        before, after = (
+            np.isfinite(image_poses(m, self.scene)).all(axis=(1, 2))
+            & (observations(m, self.scene) >= self.tuning.adjust.min_points)
+            for m in (model, changed)
+        )
+        return [self.scene.names[k] for k in np.flatnonzero(before & ~after)] if after.sum() < before.sum() else []
+
+
+@dataclass(kw_only=True)
+class Checked(Findings):
+    """A model whose rigs were tested against the images, and the findings."""
+
+    model: pycolmap.Reconstruction
+    off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings (``misplaced``)
+    statements: list[Statement] = field(default_factory=list)
+    late: dict[int, float] = field(default_factory=dict)  # camera id -> delay of those that fire at another time
+    misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
 
 
 def _wider(tuning: Tuning, wide: float) -> Tuning:
@@ -135,28 +101,33 @@ def _wider(tuning: Tuning, wide: float) -> Tuning:
     return tuning.model_copy(update={"adjust": own.model_copy(update=more)})
 
 
-def checked_rig(
-    model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
-) -> Checked:
+def checked_rig(out: Checked, mapped: pycolmap.Reconstruction, request: FinishRequest) -> Checked:
     """The model after rigs and calibrations were tested against the images. Contradicted values are adjusted, or
     reported only if the user wants them held."""
-    out = Checked(model)
-    if not request.rough:
-        _confront_single_lenses(out, scene, request)
-    if not request.held.rigs:
+    scene, held = request.scene, request.held
+    if request.rough:
         return out
-    metres = 1 / units_per_metre(model, scene, request.tuning)
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
+        if len(rig.sensors) == 1 and first + 1 in held.cameras:
+            try:
+                if test := prior_test(out.model, scene, index, 1.0, request.tuning):
+                    _confront(out, request, index, test)
+            except (RuntimeError, ValueError) as error:
+                out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
+    if not held.modes:
+        return out
+    model, metres = out.model, 1 / units_per_metre(out.model, scene, request.tuning)
+    several = [k for k, rig in enumerate(scene.rigs) if len(rig.sensors) > 1]
     try:
-        tests = {k: t for k in range(len(scene.rigs)) if (t := _Rig(scene, k, request).prior_test(model, metres))}
+        tests = {k: test for k in several if (test := prior_test(model, scene, k, metres, request.tuning))}
         torn = torn_off(mapped, model, scene, tests, request.tuning.rig.diagnostics)
         for index, test in tests.items():
-            rig = _Rig(scene, index, request)
-            last = _with_times(out, mapped, rig, test) if test.late() else test
-            if rig.fixed:
-                out.notes += open_times(last, scene, index)
-            _confront(out, rig, last, follow=last is test)
+            last = _with_times(out, mapped, request, index, test) if test.late() else test
+            if held.modes.get(index) == "fixed":
+                out.notes += open_times(last, scene.rigs[index])
+            _confront(out, request, index, last, follow=last is test)
         found = rig_diagnostics(out.model, scene, torn, metres, request.tuning)
-        _let_go_of_loose(out, scene, request, found)
+        _let_go_of_loose(out, request, found)
     except (RuntimeError, ValueError) as error:
         out.notes.append(f"the rig could not be checked: {error}")
         return out
@@ -166,31 +137,21 @@ def checked_rig(
     return out
 
 
-def _confront_single_lenses(out: Checked, scene: Scene, request: FinishRequest) -> None:
-    """Test the held calibrations of single cameras."""
-    for index, (first, rig) in enumerate(scene.keyed_rigs):
-        held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
-        try:
-            test = lens_prior_test(out.model, scene, index, request.tuning) if held else None
-        except (RuntimeError, ValueError) as error:
-            out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
-            continue
-        if test is not None:
-            _confront(out, _Rig(scene, index, request), test)
-
-
-def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> PriorTest:
+def _with_times(
+    out: Checked, mapped: pycolmap.Reconstruction, request: FinishRequest, index: int, test: PriorTest
+) -> PriorTest:
     """The model with each camera of a rig at its own time, into ``out``, and the contradictions that remain;
     unchanged if the user wants that, or if fewer images would have a place."""
-    scene, held, tuning = rig.scene, rig.request.held, rig.request.tuning
-    first = scene.first_sensor(rig.index) + 1
+    scene, held, tuning = request.scene, request.held, request.tuning
+    rig, first = scene.rigs[index], scene.first_sensor(index) + 1
     said = f"rig {rig.name}: its cameras fire at different times"
-    if rig.ordered:
+    if held.ordered:
         told = "it was held as requested (sparse.rig = fixed)"
         out.contradictions.append(f"{said}; it was {told}: {_times_text(rig, test, test.times_s())}")
         return test
     # Lens errors of a calibrated rig must not be absorbed by its times.
-    doubted = held.cameras if rig.measured and not held.lenses_ordered else ()
+    measured = held.modes.get(index) in ("fixed", "soft")
+    doubted = held.cameras if measured and not held.lenses_ordered else ()
     model, last, wide, near = out.model, test, tuning.rig.late_wide, False
     late = {k: (0.0, 0.0) for k in test.times_alone_s()}
     steps = late
@@ -201,8 +162,11 @@ def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: 
         take_poses(start, model)
         motion = Motion(model, scene, tuning.shutter.max_gap_s)
         start = at_one_instant(start, model, motion, Lateness(seconds))
-        model = rig.nearly(start) if near else rig.adjusted(start, doubted if wide == 1 else (), wide)
-        again = rig.prior_test(model, test.system.metres_per_unit, wide)
+        if near:
+            model = adjusted_to(start, held.fixed(), held.cameras, request.known(start), tuning=tuning.adjust)
+        else:
+            model = request.adjusted(start, doubted if wide == 1 else (), wide)
+        again = prior_test(model, scene, index, test.system.metres_per_unit, _wider(tuning, wide))
         if again is None:
             return test
         last, steps, near = again, again.times_alone_s(), wide == 1
@@ -210,111 +174,86 @@ def _with_times(out: Checked, mapped: pycolmap.Reconstruction, rig: _Rig, test: 
             if near:
                 break
             wide = 1.0
-    turned = _refined(mapped, rig, test)  # a camera mounted differently may look late
+    turned = _refined(mapped, request, index, test)  # a camera mounted differently may look late
     left = [mapped.compute_num_observations() - m.compute_num_observations() for m in (turned or mapped, model)]
     if turned is not None and left[0] < tuning.mapping.clearly_fewer * left[1]:
         return test
-    if lost := rig.lost(out.model, model):
-        out.contradictions.append(_lost_note(scene, rig.index, lost, [said]))
+    if lost := request.lost(out.model, model):
+        out.contradictions.append(_lost_note(rig, lost, [said]))
         return test
     out.model, out.late = model, out.late | seconds
     out.notes.append(f"{said}: each has its own time in the model, {_times_text(rig, last, late)}")
     return last
 
 
-def _times_text(rig: _Rig, test: PriorTest, times: Mapping[int, tuple[float, float]]) -> str:
+def _times_text(rig: Rig, test: PriorTest, times: Mapping[int, tuple[float, float]]) -> str:
     """Delays of cameras (by their index in the rig) relative to the first, with sigmas."""
     factor, unit = (1000.0, "ms") if test.system.timed else (100.0, "% of the frame interval")
-    sensors = rig.scene.rigs[rig.index].sensors
     each = [
-        f"{sensors[k].name} {factor * late:+.0f} +- {factor * sigma:.0f} {unit} "
+        f"{rig.sensors[k].name} {factor * late:+.0f} +- {factor * sigma:.0f} {unit} "
         f"({abs(late) * test.system.speed:.2f} m at top speed)"
         for k, (late, sigma) in times.items()
     ]
-    return f"after {sensors[0].name}: {', '.join(each)}"
+    return f"after {rig.sensors[0].name}: {', '.join(each)}"
 
 
-def _let_go_of_loose(out: Checked, scene: Scene, request: FinishRequest, found: RigDiagnostics) -> None:
+def _let_go_of_loose(out: Checked, request: FinishRequest, found: RigDiagnostics) -> None:
     """Cameras that are not rigid in a rig leave it, unless fewer images would have a place then."""
-    out.notes += found.notes(scene)
+    scene, notes = request.scene, found.notes(request.scene)
+    out.notes += notes
     loose = [k for k in found.loose if scene.sensor[scene.sensor_key == k].any()]  # all but references
-    rigs = {int(scene.rig[scene.frame[scene.sensor_key == k][0]]) for k in loose}
     if not loose:
         return
-    rig = _Rig(scene, min(rigs), request)
     names = ", ".join(scene.all_sensors[k].name for k in loose)
-    if rigs & set(request.held.ordered):
+    if request.held.ordered:
         out.contradictions.append(f"{names} stay in the rig as requested (sparse.rig = fixed), but are not rigid in it")
         return
-    free = rig.adjusted(let_go(out.model, {k + 1 for k in loose}, scene))
-    if lost := rig.lost(out.model, free):
-        out.contradictions.append(_lost_note(scene, rig.index, lost, found.notes(scene)))
+    free = request.adjusted(let_go(out.model, {k + 1 for k in loose}, scene))
+    if lost := request.lost(out.model, free):
+        index = min(int(scene.rig[scene.frame[scene.sensor_key == k][0]]) for k in loose)
+        out.contradictions.append(_lost_note(scene.rigs[index], lost, notes))
         return
     out.model = free
     out.notes.append(f"{names}: released from the rig, because their places in it differ from shot to shot")
 
 
-def _confront(out: Checked, rig: _Rig, test: PriorTest, follow: bool = True) -> None:
+def _confront(out: Checked, request: FinishRequest, index: int, test: PriorTest, follow: bool = True) -> None:
     """Report where the images contradict the file of a rig; a contradicted mounting of a held rig is adjusted, unless
     images would lose their place by it."""
-    refined = _refined(out.model, rig, test) if follow else None
+    scene, held, tuning = request.scene, request.held, request.tuning
+    rig = scene.rigs[index]
+    refined = _refined(out.model, request, index, test) if follow else None
     # The test in a refined model, where the rest is no longer bent and the sigmas are better; else the first test
-    again = None if refined is None else rig.prior_test(refined, test.system.metres_per_unit)
-    last = again if again is not None and _mounts_freed(again) else test
-    said = statements(last, rig.scene, rig.index, refined)
-    followed = _followed(out.model, rig, refined) if said.contradictions else None
-    if rig.ordered:
+    metres = test.system.metres_per_unit
+    again = None if refined is None else prior_test(refined, scene, index, metres, tuning)
+    last = again if again is not None and again.mounts_freed() else test
+    said = statements(last, scene, index, refined)
+    use = bool(said.contradictions) and refined is not None and not held.ordered
+    followed = refined if use and refined is not None and not request.lost(out.model, refined) else None
+    how = "" if followed is None else "; these cameras were adjusted by the images, the others are held as given"
+    if held.ordered and index in held.modes:
         how = "; they are held as given nevertheless (sparse.rig = fixed)"
-    else:
-        how = "" if followed is None else "; these cameras were adjusted by the images, the others are held as given"
-    _say(out, said, how)
-    if followed is not None:
-        out.model = followed
-    if said.contradictions and rig.measured:
-        _say_off(out, rig, last, followed is not None)
-
-
-def _refined(model: pycolmap.Reconstruction, rig: _Rig, test: PriorTest) -> pycolmap.Reconstruction | None:
-    """The model with the contradicted mountings adjusted; None if there are none, or none may be adjusted."""
-    held = rig.request.held
-    if not (_mounts_freed(test) and rig.fixed):
-        return None
-    fixed = [k + 1 for k in held.fixed]
-    return refine(model, rig.scene, rig.index, test, fixed, held.cameras, rig.request.tuning.adjust)
-
-
-def _mounts_freed(test: PriorTest) -> bool:
-    return any(what == "mount" for what, _ in test.freed)
-
-
-def _followed(
-    model: pycolmap.Reconstruction, rig: _Rig, refined: pycolmap.Reconstruction | None
-) -> pycolmap.Reconstruction | None:
-    """The refined model, if it is to be used."""
-    if rig.ordered or refined is None or rig.lost(model, refined):
-        return None
-    return refined
-
-
-def _say(out: Checked, said: RigEvidence, how: str) -> None:
-    """Add statements and contradictions to the findings; ``how``: what was done about the contradictions."""
     out.statements += said.statements
     out.misfit = max(out.misfit, said.misfit)
     out.contradictions += [f"{line}{how}" for line in said.contradictions]
+    out.model = out.model if followed is None else followed
+    if said.contradictions and held.modes.get(index) in ("fixed", "soft"):
+        out.off[index + 1] = mounting_errors(last, rig, tuning.rig, followed is not None)
 
 
-def _say_off(out: Checked, rig: _Rig, test: PriorTest, followed: bool) -> None:
-    """Record how far the mountings of a contradicted rig may be off."""
-    count, first = len(rig.scene.rigs[rig.index].sensors), rig.scene.first_sensor(rig.index)
-    if count > 1:
-        cameras = range(first + 1, first + count)
-        off = mounting_errors(test, rig.scene, rig.index, cameras, rig.request.tuning.rig, followed)
-        out.off[rig.index + 1] = in_units(off, test.system.metres_per_unit)
+def _refined(
+    model: pycolmap.Reconstruction, request: FinishRequest, index: int, test: PriorTest
+) -> pycolmap.Reconstruction | None:
+    """The model with the contradicted mountings adjusted; None if there are none, or none may be adjusted."""
+    held = request.held
+    if not test.mounts_freed() or held.modes.get(index) != "fixed":
+        return None
+    return refine(model, request.scene, index, test, held.fixed(), held.cameras, request.tuning.adjust)
 
 
-def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
-    names = ", ".join(scene.names[k] for k in lost[:3]) + (" ..." if len(lost) > 3 else "")
+def _lost_note(rig: Rig, lost: Sequence[str], why: Sequence[str]) -> str:
+    names = ", ".join(lost[:3]) + (" ..." if len(lost) > 3 else "")
     return (
-        f"rig {scene.rigs[index].name} stays as given although the images contradict it, because fewer images would "
-        f"be registered otherwise: {len(lost)} would be lost ({names}). The contradictions: {'; '.join(why)}"
+        f"rig {rig.name} stays as given although the images contradict it, because fewer images would be registered "
+        f"otherwise: {len(lost)} would be lost ({names}). The contradictions: {'; '.join(why)}"
     )

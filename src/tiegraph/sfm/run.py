@@ -3,12 +3,12 @@
 From approximate poses (``start``) a model is made by three rounds of adjustment that free more unknowns each time:
 poses; then rig, focal length and distortion; then principal points. After the first two rounds, frames without a
 pose, or with a place that their matches contradict, are placed by their matches. The rounds use few points
-(``adjustment.fewpoints``) and triangulate all points again from the new poses. The acceptance test (``refusal``)
+(``adjust.points_that_can_wait``) and triangulate all points again from the new poses. The acceptance test (``refusal``)
 requires that tied images see points, that verified pairs agree with the model, and that lenses are plausible.
 """
 
 import shutil
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,22 +16,20 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene import colmaprows
 from tiegraph.scene.colmapmodel import THREADS, factorised, observations
 from tiegraph.scene.colmaprows import read_cache, sizes
-from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.adjust import free_cameras, impossible_camera
-from tiegraph.sfm.adjustment.fewpoints import points_that_can_wait
-from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.adjustment.adjust import free_cameras, impossible_camera, points_that_can_wait
+from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.placement import placed_anew
 from tiegraph.sfm.start import Start, largest_component, place_frames, start_from
-from tiegraph.sfm.tuning import FewPointsTuning, Tuning
-from tiegraph.sfm.verified import VerifiedMatches, image_observations, rays_meet, read_verified
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.world import FixTuning
+from tiegraph.sfm.verified import MatchSource, VerifiedMatches, image_observations, rays_meet
 
 Options = pycolmap.IncrementalPipelineOptions
-Anew = Callable[[pycolmap.Reconstruction], tuple[Mapping[int, pycolmap.Rigid3d], Collection[int]]]
-"""For the frames of a model whose verified matches contradict their place, by COLMAP's ids: new poses of those that
-move, and those that are removed."""
 
 
 @dataclass(frozen=True)
@@ -41,47 +39,41 @@ class Method:
     mapper: str  # incremental, global, or preview: from the poses of the coarse model
     seed: int = 0  # of every random choice: the same input gives the same model
     rough: bool = False  # few tracks, none found later
+    positions: bool = False  # the mapper uses prior positions
+    poses: np.ndarray | None = None  # (N, 4, 4) cam_from_world to start from (mapper "preview"); NaN = unknown
 
 
 @dataclass(frozen=True)
-class Matches:
-    """The verified matches that a mapper is given."""
+class RigsUsed:
+    """The rigs (scene indices) that a mapper is given, those whose extrinsics it keeps, and the cameras (COLMAP ids)
+    whose calibration it keeps."""
 
-    database: Path
-    least: int  # smallest number of a pair
-    refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs it must not see
-    only: np.ndarray | None = None  # scene indices of the images to map, None = all
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """What must not move: rigs (indices) with fixed extrinsics, and cameras (COLMAP ids) whose calibration is
-    trusted."""
-
-    rigs: tuple[int, ...] = ()
-    cameras: tuple[int, ...] = ()
-    all_cameras: bool = False
+    given: Collection[int] = ()
+    held: Collection[int] = ()
+    cameras: Collection[int] = ()
 
 
 @dataclass(frozen=True)
 class Request:
-    """The input of one run, in picklable form."""
+    """The input of one run."""
 
     method: Method
-    matches: Matches
-    fixed: Fixed
+    matches: MatchSource
+    rigs: RigsUsed
     images: Path | None  # for colours; None = none are wanted
     folder: Path  # scratch; models go to folder/0, folder/1, ...
-    scene: str  # JSON
-    rigs: dict[int, dict]  # rig index -> rig with all extrinsics, as a dict
-    positions: bool
+    scene: Scene
     tuning: Tuning
-    poses: np.ndarray | None = None  # (N, 4, 4) cam_from_world to start from (mapper "preview"); NaN = unknown
 
-    @staticmethod
-    def rigs_of(rigs: Mapping[int, Rig]) -> dict[int, dict]:
-        """Rigs in picklable form."""
-        return {k: rig_to_dict(r) for k, r in rigs.items()}
+    @property
+    def free_lenses(self) -> bool:
+        """Whether a camera's intrinsics are adjusted."""
+        return len(self.rigs.cameras) < len(self.scene.all_sensors)
+
+    @property
+    def free_rigs(self) -> bool:
+        """Whether a rig's extrinsics are adjusted."""
+        return len(self.rigs.held) < len(self.rigs.given)
 
 
 @dataclass(frozen=True)
@@ -98,75 +90,88 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
     shutil.rmtree(request.folder, ignore_errors=True)
     request.folder.mkdir(parents=True)
     working = request.folder / "working.db"
-    scene = Scene.from_json(request.scene)
-    rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
-    if request.method.mapper == "preview":
-        return _from_poses(request, working, scene, rigs, send)
-    positions = request.tuning.world.fixes if request.positions else None
+    scene, method = request.scene, request.method
+    if method.mapper == "preview":
+        return _from_poses(request, working, send)
+    rigs = {k: scene.rigs[k] for k in request.rigs.given}
+    positions = request.tuning.world.fixes if method.positions else None
     seen = request.matches
     write_working_copy(seen.database, working, scene, rigs, positions, seen.refused, seen.only)
     raw = request.folder / "raw"
     raw.mkdir()
     models = (
-        _incremental(request, working, raw, send)
-        if request.method.mapper == "incremental"
-        else _global(request, working, raw)
+        _incremental(request, working, raw, send) if method.mapper == "incremental" else _global(request, working, raw)
     )
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
-    if ordered and not request.method.rough and request.tuning.adjust.iterations:
-        verified = read_verified(seen.database, scene, seen.refused)
-        place_anew(
-            ordered[0], working, lambda free: _options(request, free), request.tuning, _anew(request, scene, verified)
-        )
-    folders = []
-    for number, model in enumerate(m for m in ordered if m.num_reg_images() >= 2):
-        folder = request.folder / str(number)
-        folder.mkdir()
-        model.write(folder)
-        folders.append(folder)
+    if ordered and not method.rough and request.tuning.adjust.iterations:
+        place_anew(ordered[0], working, request, seen.read(scene))
     shutil.rmtree(raw)
     working.unlink()
-    return MappingResult(folders)
+    return MappingResult(
+        [_written(m, request.folder / str(n)) for n, m in enumerate(ordered) if m.num_reg_images() > 1]
+    )
 
 
-def _from_poses(
-    request: Request, working: Path, scene: Scene, rigs: dict[int, Rig], send: Callable[[Any], None]
-) -> MappingResult:
-    """One model from approximate poses, if it passes the acceptance test."""
-    assert request.poses is not None
-    seen = request.matches
-    verified = read_verified(seen.database, scene, seen.refused)
-    piece = largest_component(request.poses, scene, rigs, verified.pairs)
-    poses = np.where(piece[:, None, None], request.poses, np.nan)
-    placed = np.isfinite(poses).all(axis=(1, 2))
-    if placed.sum() < request.tuning.start.min_share * piece.sum():
-        return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} connected images")
-    start = start_from(poses, scene, rigs, request.fixed.rigs, verified, request.tuning.start)
-    if start is None:
-        return MappingResult(
-            [], refused=("neither matches nor positions determine the length of its path relative to the rig")
-        )
-    write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
-    anew = _anew(request, scene, verified)
-    model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send, anew)
-    working.unlink()
-    refused = refusal(model, scene, verified, piece, request.tuning)
-    if refused:
-        return MappingResult([], start.notes, refused)
-    folder = request.folder / "0"
+def _written(model: pycolmap.Reconstruction, folder: Path) -> Path:
     folder.mkdir()
     model.write(folder)
-    return MappingResult([folder], start.notes)
+    return folder
 
 
-def _anew(request: Request, scene: Scene, verified: VerifiedMatches) -> Anew:
-    """A function that finds the doubtful frames of a model."""
-    return lambda model: placed_anew(model, scene, verified, request.tuning.placement)
+def _from_poses(request: Request, working: Path, send: Callable[[Any], None]) -> MappingResult:
+    """One model from approximate poses, if it passes the acceptance test."""
+    seen, scene, poses = request.matches, request.scene, request.method.poses
+    assert poses is not None
+    verified = seen.read(scene)
+    piece = largest_component(poses, scene, request.rigs.given, verified.pairs)
+    poses = np.where(piece[:, None, None], poses, np.nan)
+    placed = np.isfinite(poses).all(axis=(1, 2))
+    if placed.sum() < request.tuning.mapping.clearly_fewer * piece.sum():
+        return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} connected images")
+    start = start_from(poses, scene, request.rigs.given, request.rigs.held, verified, request.tuning.start)
+    if start is None:
+        return MappingResult(
+            [], refused="neither matches nor positions determine the length of its path relative to the rig"
+        )
+    write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
+    model = model_from(working, request, start, verified, send)
+    working.unlink()
+    refused = refusal(model, scene, verified, piece, request.tuning)
+    return MappingResult([] if refused else [_written(model, request.folder / "0")], start.notes, refused)
+
+
+def write_working_copy(
+    source: Path,
+    target: Path,
+    scene: Scene,
+    with_rig: Mapping[int, Rig],
+    positions: FixTuning | None,
+    refused: Sequence[tuple[int, int]] = (),
+    only: np.ndarray | None = None,
+) -> None:
+    """Write the mapper's own copy of the database (``colmaprows.write_working_copy``).
+
+    ``positions``: write the scene's prior positions for the mapper, all but the held-out ones; None: write none.
+    """
+    known = None if positions is None else _positions(scene, positions)
+    colmaprows.write_working_copy(source, target, scene, with_rig, known, refused, only)
+
+
+def _positions(scene: Scene, tuning: FixTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Prior positions (F, 3) of the frames but the held-out ones, NaN = none, and variances (F, 3); world metres.
+
+    COLMAP has no lever arm: its length increases the sigma instead.
+    """
+    positions = np.where(held_out_frames(scene, tuning)[:, None], np.nan, scene.world_from_rig[:, :3, 3])
+    sigma = np.where(np.isfinite(scene.position_sigma_m), scene.position_sigma_m, tuning.unknown_sigma_m)
+    antennas = [None if scene.prior == "trajectory" else r.antenna_m for r in scene.rigs]
+    arm2 = np.array([0.0 if a is None else float(np.linalg.norm(a)) ** 2 for a in antennas])
+    return positions, sigma**2 + arm2[scene.rig][:, None]
 
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
     """``free``: intrinsics and extrinsics are adjusted where the request allows it."""
-    lens = free and not request.fixed.all_cameras
+    lens = free and request.free_lenses
     tolerance = request.tuning.start.staged.tolerance  # COLMAP's 0 would iterate on at points that are removed later
     return pycolmap.IncrementalPipelineOptions(
         ba_local_function_tolerance=tolerance,
@@ -184,10 +189,10 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
         structure_less_registration_fallback=not request.method.rough,
         ba_refine_focal_length=lens,
         ba_refine_extra_params=lens,
-        constant_cameras=set(request.fixed.cameras),
-        ba_refine_sensor_from_rig=free and len(request.fixed.rigs) < len(request.rigs),
-        constant_rigs={k + 1 for k in request.fixed.rigs},
-        use_prior_position=request.positions,
+        constant_cameras=set(request.rigs.cameras),
+        ba_refine_sensor_from_rig=free and request.free_rigs,
+        constant_rigs={k + 1 for k in request.rigs.held},
+        use_prior_position=request.method.positions,
         use_robust_loss_on_prior_position=True,
         # As many as a pair needs: COLMAP's 30 leaves out photographs that a few sound ties hold.
         mapper=pycolmap.IncrementalMapperOptions(abs_pose_min_num_inliers=request.matches.least),
@@ -211,11 +216,10 @@ def _incremental(
 
 
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
-    refine_rig = len(request.fixed.rigs) < len(request.rigs)
-    mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=refine_rig)
+    mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=request.free_rigs)
     mapper.global_positioning.use_gpu = False
-    mapper.bundle_adjustment.refine_focal_length = not request.fixed.all_cameras  # it knows no single constant cameras
-    mapper.bundle_adjustment.refine_extra_params = not request.fixed.all_cameras
+    mapper.bundle_adjustment.refine_focal_length = request.free_lenses  # it knows no single constant cameras
+    mapper.bundle_adjustment.refine_extra_params = request.free_lenses
     factorised(mapper.bundle_adjustment, *sizes(working))
     if request.method.rough:
         mapper.track_required_tracks_per_view = request.tuning.mapping.rough_tracks
@@ -237,74 +241,72 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
 
 
 def model_from(
-    database: Path,
-    scene: Scene,
-    start: Start,
-    options: Callable[[bool], Options],
-    tuning: Tuning,
-    send: Callable[[int], None],
-    anew: Anew,
+    database: Path, request: Request, start: Start, verified: VerifiedMatches, send: Callable[[int], None]
 ) -> pycolmap.Reconstruction:
     """Triangulate the verified matches of the mapper's ``database`` from the poses of ``start``, and adjust.
 
-    ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose, and
-    doubtful frames (``anew``), are placed by their matches after an adjustment. ``send`` receives the number of
-    placed images.
+    Frames without a pose, and doubtful frames, are placed by their matches after an adjustment. ``send`` receives the
+    number of placed images.
 
     Unknowns beside poses and points: none at first, because lens and rig would absorb the errors of the poses; then
     both; then principal points: with them held in all rounds canal's frames are 12 mm off after the final adjustment.
     """
-    cache = read_cache(database, options(False).min_num_matches)
+    cache = read_cache(database, request.matches.least)
     model = pycolmap.Reconstruction()
     model.load(cache)
-    place_frames(model, scene, start)
+    place_frames(model, request.scene, start)
     send(model.num_reg_frames())
     mapper = pycolmap.IncrementalMapper(cache)
     mapper.begin_reconstruction(model)
-    _triangulate(mapper, options(False))
-    for stage in ("poses", "lens"):
-        _thin(mapper, tuning.adjust.few_points)
-        _round(mapper, options(stage != "poses"), tuning)
-        moved, out = anew(model)
-        if stage == "poses" or moved or out:
-            _place(mapper, moved, out, options(False), tuning)
+    _triangulate(mapper, _options(request, False))
+    for free in (False, True):
+        _round(mapper, request, free)
+        moved, out = placed_anew(model, request.scene, verified, request.tuning.placement)
+        if not free or moved or out:
+            _place(mapper, request, moved, out)
             send(model.num_reg_frames())
-    _settle(mapper, options, tuning, anew)
-    mapper.filter_points(options(True).get_mapper())
-    mapper.filter_frames(options(True).get_mapper())
+    _settle(mapper, request, verified)
+    mapper.filter_points(_options(request, True).get_mapper())
+    mapper.filter_frames(_options(request, True).get_mapper())
     mapper.end_reconstruction(False)
     model.update_point_3d_errors()
     return model
 
 
-def _settle(mapper: pycolmap.IncrementalMapper, options: Callable[[bool], Options], tuning: Tuning, anew: Anew) -> None:
+def _settle(mapper: pycolmap.IncrementalMapper, request: Request, verified: VerifiedMatches) -> None:
     """Adjust everything and triangulate all points; once more if frames are at doubtful places even then: before
     principal points are right (8 px are 26 mrad of a wide lens), matches hardly tell places apart."""
     for last in (False, True):
-        _thin(mapper, tuning.adjust.few_points)
-        _round(mapper, options(True), tuning, centre=True)
-        _triangulate(mapper, options(True))
-        moved, out = ({}, ()) if last else anew(mapper.reconstruction)
+        _round(mapper, request, True, centre=True)
+        _triangulate(mapper, _options(request, True))
+        if last:
+            return
+        moved, out = placed_anew(mapper.reconstruction, request.scene, verified, request.tuning.placement)
         if not moved and not out:
             return
-        _place(mapper, moved, out, options(False), tuning)
+        _place(mapper, request, moved, out)
 
 
-def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning, centre: bool = False) -> None:
+def _round(mapper: pycolmap.IncrementalMapper, request: Request, free: bool, centre: bool = False) -> None:
+    """Adjust the model with its most informative points; ``free``: as in ``_options``, ``centre``: with principal
+    points."""
+    options, staged = _options(request, free), request.tuning.start.staged
+    for point_id in points_that_can_wait(mapper.reconstruction, request.tuning.adjust.few_points):
+        mapper.observation_manager.delete_point3D(point_id)
     held = options.get_mapper()
     adjustment = options.get_global_bundle_adjustment()
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
-    adjustment.ceres.loss_function_scale = tuning.start.staged.soft_l1_px
+    adjustment.ceres.loss_function_scale = staged.soft_l1_px
     solver = adjustment.ceres.solver_options
-    solver.max_num_iterations = tuning.start.staged.iterations
-    solver.function_tolerance = tuning.start.staged.tolerance
+    solver.max_num_iterations = staged.iterations
+    solver.function_tolerance = staged.tolerance
     adjustment.ceres.solver_options = solver
     factorised(adjustment, mapper.reconstruction.num_reg_frames(), mapper.reconstruction.num_reg_images())
     if centre:
         adjustment.refine_principal_point = True
-        free = free_cameras(mapper.reconstruction, tuning.adjust)
-        held.constant_cameras |= set(mapper.reconstruction.cameras) - free
+        free_ids = free_cameras(mapper.reconstruction, request.tuning.adjust)
+        held.constant_cameras |= set(mapper.reconstruction.cameras) - free_ids
     mapper.adjust_global_bundle(held, adjustment)
     mapper.filter_points(options.get_mapper())
 
@@ -318,57 +320,46 @@ def _triangulate(mapper: pycolmap.IncrementalMapper, options: Options) -> None:
     mapper.complete_and_merge_tracks(options.get_triangulation())
 
 
-def _thin(mapper: pycolmap.IncrementalMapper, tuning: FewPointsTuning) -> None:
-    """Keep the most informative points."""
-    for point_id in points_that_can_wait(mapper.reconstruction, tuning):
-        mapper.observation_manager.delete_point3D(point_id)
-
-
-def place_anew(
-    model: pycolmap.Reconstruction, database: Path, options: Callable[[bool], Options], tuning: Tuning, anew: Anew
-) -> None:
+def place_anew(model: pycolmap.Reconstruction, database: Path, request: Request, verified: VerifiedMatches) -> None:
     """Place the doubtful frames of a mapper's model by their matches, and those without a place."""
-    moved, out = anew(model)
+    moved, out = placed_anew(model, request.scene, verified, request.tuning.placement)
     if not moved and not out:
         return
-    mapper = pycolmap.IncrementalMapper(read_cache(database, options(False).min_num_matches))
+    mapper = pycolmap.IncrementalMapper(read_cache(database, request.matches.least))
     mapper.begin_reconstruction(model)
-    _place(mapper, moved, out, options(False), tuning)
-    _settle(mapper, options, tuning, anew)
+    _place(mapper, request, moved, out)
+    _settle(mapper, request, verified)
     mapper.end_reconstruction(False)
     model.update_point_3d_errors()
 
 
 def _place(
-    mapper: pycolmap.IncrementalMapper,
-    moved: Mapping[int, pycolmap.Rigid3d],
-    out: Collection[int],
-    options: Options,
-    tuning: Tuning,
+    mapper: pycolmap.IncrementalMapper, request: Request, moved: Mapping[int, pycolmap.Rigid3d], out: Collection[int]
 ) -> None:
     """Move frames, and place those without a place by their matches."""
     for frame_id, pose in moved.items():
         mapper.reconstruction.frame(frame_id).rig_from_world = pose
     for frame_id in out:
         mapper.observation_manager.deregister_frame(frame_id)
+    options = _options(request, False)
     _triangulate(mapper, options)
-    _register(mapper, options, tuning.start.staged.register_rounds)
-
-
-def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:
-    """Register frames without a pose by the points of their matches."""
-    for _ in range(rounds):
-        placed = 0
-        for image_id in mapper.find_next_images(options.get_mapper(), structure_less=False):
-            if mapper.reconstruction.image(image_id).has_pose:
-                continue  # registered with another image of its frame
-            if mapper.register_next_image(options.get_mapper(), image_id):
-                frame = mapper.reconstruction.frame(mapper.reconstruction.image(image_id).frame_id)
-                for k in frame.image_ids:
-                    mapper.triangulate_image(options.get_triangulation(), k.id)
-                placed += 1
-        if not placed:
+    for _ in range(request.tuning.start.staged.register_rounds):
+        if not _register(mapper, options):
             break
+
+
+def _register(mapper: pycolmap.IncrementalMapper, options: Options) -> bool:
+    """Register frames without a pose by the points of their matches; returns whether there were any."""
+    placed = False
+    for image_id in mapper.find_next_images(options.get_mapper(), structure_less=False):
+        if mapper.reconstruction.image(image_id).has_pose:
+            continue  # registered with another image of its frame
+        if mapper.register_next_image(options.get_mapper(), image_id):
+            frame = mapper.reconstruction.frame(mapper.reconstruction.image(image_id).frame_id)
+            for k in frame.image_ids:
+                mapper.triangulate_image(options.get_triangulation(), k.id)
+            placed = True
+    return placed
 
 
 def refusal(
@@ -381,7 +372,7 @@ def refusal(
     if lens is not None:
         return f"the adjusted intrinsics of camera {scene.all_sensors[lens - 1].name} are impossible for a lens"
     degree = np.bincount(verified.pairs.ravel(), minlength=len(scene))
-    tied = piece & (degree >= gate.tied_pairs)
+    tied = piece & (degree >= tuning.rig.support.min_ties)
     seeing = observations(model, scene) >= tuning.adjust.min_points
     share = float(np.mean(seeing[tied])) if tied.any() else 0.0
     if share < gate.min_seeing:

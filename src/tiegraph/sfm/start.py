@@ -3,7 +3,7 @@
 The start takes the poses of the coarse model, converts the rigs to their units, triangulates the full-resolution
 matches from them and adjusts in rounds (``run``).
 
-Before that, the length of the path is compared with a rig that must not change (``path_scale``): the matches
+Before that, the length of the path is compared with a rig that must not change (``length_of_path``): the matches
 determine it, else the positions; if neither does, the start is refused. The same test follows every mapper. In a
 model made of few ties both can be right except for their ratio: cameras that look away from each other hardly
 determine it (PandaSet's previews: wrong by factors of 16 to 40 000, which no residual shows and no adjustment
@@ -18,7 +18,7 @@ relative to that part by more than the tuning allows, or is off by more than a s
 sees. World and unit of both models are free, so a model of another size agrees.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -42,49 +42,30 @@ _SAMPLE = 300  # images whose rotations are tried: bounds the time
 _NAMED = 3  # images named in a sentence
 
 
-@dataclass(frozen=True)
-class PathScale:
-    """``scale`` that the path needs (1 = none; NaN = not determined), and the source that determines it."""
-
-    scale: float
-    by: str
+Cost = Callable[[float, float], float]
+"""Mean angle between rays and epipolar planes for a scale of the path, cut at a cap (rad) and in units of it."""
 
 
-def path_scale(
-    scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: VerifiedMatches, tuning: ScaleTuning
-) -> PathScale:
-    """Scale of the path of the frames (F, 4, 4) for rigs with held extrinsics (N, 4, 4), one for each image: from the
-    matches if they determine it, else from the prior positions, else unknown."""
-    rays = _rays(scene, cam_from_rig, world_from_rig, verified, tuning.matches_a_pair)
-    told = (_by_matches(rays, cap_rad, tuning) for cap_rad in tuning.caps_rad) if rays is not None else ()
-    for scale in told:
-        if scale is not None:
-            return PathScale(scale, "its matches")
+def length_of_path(
+    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: ScaleTuning
+) -> tuple[float, str] | None:
+    """The scale that the path of frames (F, 4, 4) needs to agree with the rigs (indices ``held``) that must not
+    change (1 = none, NaN = not determined), and what determines it: matches, else prior positions. None where nothing
+    can be compared: panoramas, loose photographs."""
+    cam_from_rig = transforms.invert(rig_from_sensor(scene))
+    if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
+        return None
+    cost = _cost(scene, cam_from_rig, world_from_rig, verified, tuning.matches_a_pair)
+    for cap_rad in tuning.caps_rad:
+        if cost is not None and (scale := _by_matches(cost, cap_rad, tuning)) is not None:
+            return scale, "its matches"
     placed = _by_positions(scene, world_from_rig[:, :3, 3], tuning)
-    if placed is not None:
-        return PathScale(placed, "the positions")
-    return PathScale(float("nan"), "nothing")
+    return (float("nan"), "nothing") if placed is None else (placed, "the positions")
 
 
-@dataclass(frozen=True)
-class _Rays:
-    """Matches (M): rays a, b of both images in the world, their cross product, the vector between the frames in the
-    model, and that between their cameras within the rigs."""
-
-    a: np.ndarray
-    normal: np.ndarray
-    path: np.ndarray
-    lever: np.ndarray
-
-    def cost(self, scale: float, cap_rad: float) -> float:
-        """Mean angle between rays and epipolar planes, cut at a cap and in units of it."""
-        way = scale * self.path + self.lever
-        return float(np.minimum(off_plane(way, self.a, self.normal), cap_rad).mean() / cap_rad)
-
-
-def _rays(
+def _cost(
     scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: VerifiedMatches, most: int
-) -> _Rays | None:
+) -> Cost | None:
     """``most``: number of matches of a pair of images that vote."""
     rng = np.random.default_rng(0)
     known = np.all(np.isfinite(cam_from_rig) & np.isfinite(world_from_rig[scene.frame]), axis=(1, 2))
@@ -95,32 +76,32 @@ def _rays(
             continue
         if len(matches) > most:
             matches = matches[rng.choice(len(matches), most, replace=False)]
-        pose_i, pose_j = world_from_rig[scene.frame[i]], world_from_rig[scene.frame[j]]
-        a = _turned(scene, i, verified.xy[i][matches[:, 0]], pose_i, cam_from_rig[i])
-        b = _turned(scene, j, verified.xy[j][matches[:, 1]], pose_j, cam_from_rig[j])
-        lever = pose_j[:3, :3] @ centre[j] - pose_i[:3, :3] @ centre[i]
-        path = pose_j[:3, 3] - pose_i[:3, 3]
-        rows.append((a, cross(a, b), np.tile(path, (len(a), 1)), np.tile(lever, (len(a), 1))))
+        poses, rays = [world_from_rig[scene.frame[k]] for k in (i, j)], []
+        for k, pose, xy in zip((i, j), poses, (verified.xy[i][matches[:, 0]], verified.xy[j][matches[:, 1]])):
+            camera = cast(pycolmap.Camera, scene.sensor_of(k).camera)  # the scan gave each sensor one
+            rays.append(rays_or_axis(camera, xy) @ (cam_from_rig[k][:3, :3] @ pose[:3, :3].T))
+        lever = poses[1][:3, :3] @ centre[j] - poses[0][:3, :3] @ centre[i]
+        steps = [np.tile(step, (len(matches), 1)) for step in (poses[1][:3, 3] - poses[0][:3, 3], lever)]
+        rows.append((rays[0], cross(*rays), *steps))
     if not rows:
         return None
-    return _Rays(*(np.concatenate(column) for column in zip(*rows)))
+    a, normal, path, lever = (np.concatenate(column) for column in zip(*rows))
+
+    def cost(scale: float, cap_rad: float) -> float:
+        return float(np.minimum(off_plane(scale * path + lever, a, normal), cap_rad).mean() / cap_rad)
+
+    return cost
 
 
-def _turned(scene: Scene, image: int, xy: np.ndarray, pose: np.ndarray, cam_from_rig: np.ndarray) -> np.ndarray:
-    """Rays (M, 3) of pixels, unit length, in the world."""
-    camera = cast(pycolmap.Camera, scene.sensor_of(image).camera)  # the scan gave each sensor one
-    return rays_or_axis(camera, xy) @ (cam_from_rig[:3, :3] @ pose[:3, :3].T)
-
-
-def _by_matches(rays: _Rays, cap_rad: float, tuning: ScaleTuning) -> float | None:
+def _by_matches(cost: Cost, cap_rad: float, tuning: ScaleTuning) -> float | None:
     grid = np.linspace(-np.log(tuning.range), np.log(tuning.range), tuning.grid)
     for _ in range(2):
-        costs = np.array([rays.cost(float(np.exp(x)), cap_rad) for x in grid])
+        costs = np.array([cost(float(np.exp(x)), cap_rad) for x in grid])
         best = float(grid[np.argmin(costs)])
         step = float(grid[1] - grid[0])
         grid = np.linspace(best - step, best + step, tuning.fine_grid)
     lowest = float(costs.min())
-    beside = min(rays.cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
+    beside = min(cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
     return float(np.exp(best)) if beside - lowest > tuning.dip * max(lowest, 1e-9) else None
 
 
@@ -167,46 +148,37 @@ class Start:
 def start_from(
     cam_from_world: np.ndarray,
     scene: Scene,
-    rigs: Mapping[int, Rig],
+    given: Collection[int],
     held: Collection[int],
     verified: VerifiedMatches,
     tuning: StartTuning,
 ) -> Start | None:
-    """A start from poses (N, 4, 4) of the images, NaN = unknown; ``held``: indices of rigs whose extrinsics stay.
+    """A start from poses (N, 4, 4) of the images, NaN = unknown, with the rigs ``given`` (indices), of which those
+    ``held`` keep their extrinsics.
 
     None if the length of the path relative to a held rig is unknown: the poses may come from a model that did not use
     the rig.
     """
-    most = tuning.max_lever_off
-    fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world, most) for k, rig in rigs.items()}
+    most, rigs = tuning.max_lever_off, scene.rigs
+    fitted = {k: rigs[k] if k in held else rig_of_poses(scene, k, cam_from_world, most) for k in given}
     scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
     frames = frame_poses(cam_from_world, scene)
     found = length_of_path(frames, scene, held, verified, tuning.scale)
     if found is None:
         return Start(fitted, frames, cam_from_world)
-    if not np.isfinite(found.scale):
+    scale, by = found
+    if not np.isfinite(scale):
         return None
-    frames[:, :3, 3] *= found.scale
+    frames[:, :3, 3] *= scale
     images = cam_from_world.copy()
-    images[:, :3, 3] *= found.scale
-    note = f"its path was scaled by {found.scale:.3g}, by {found.by}"
+    images[:, :3, 3] *= scale
+    note = f"its path was scaled by {scale:.3g}, by {by}"
     return Start(
         rigs=fitted,
         world_from_rig=frames,
         cam_from_world=images,
-        notes=(note,) if abs(found.scale - 1) > tuning.told_change else (),
+        notes=(note,) if abs(scale - 1) > tuning.told_change else (),
     )
-
-
-def length_of_path(
-    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: ScaleTuning
-) -> PathScale | None:
-    """The scale that the path of frames (F, 4, 4) needs to agree with the rigs (indices ``held``) that must not
-    change; None where nothing can be compared: panoramas, loose photographs."""
-    cam_from_rig = transforms.invert(rig_from_sensor(scene))
-    if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
-        return None
-    return path_scale(scene, cam_from_rig, world_from_rig, verified, tuning)
 
 
 def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
@@ -220,13 +192,13 @@ def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection
     return label == largest
 
 
-def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
+def rig_of_poses(scene: Scene, index: int, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
     """The rig with the extrinsics of the poses, averaged over the frames; a sensor that no frame shows together with
     the reference keeps its own extrinsics, in the units of the others.
 
     ``max_lever_off``: largest relative deviation of the poses from a given lever arm; beyond it the given one stays.
     """
-    of = scene.rig[scene.frame] == index
+    rig, of = scene.rigs[index], scene.rig[scene.frame] == index
     known = of & np.isfinite(cam_from_world).all(axis=(1, 2))
     reference = np.full(scene.frames, -1)
     first = np.flatnonzero(known & (scene.sensor == 0))
@@ -239,40 +211,29 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray,
             steps = cam_from_world[rows] @ transforms.invert(cam_from_world[reference[scene.frame[rows]]])
             shift = np.median(steps[:, :3, 3], axis=0)
             shown[place] = transforms.rigid(l1_mean_rotation(steps[:, :3, :3]), shift)
-    units = replace(
-        rig, sensors=tuple(replace(s, sensor_from_rig=shown.get(k)) for k, s in enumerate(rig.sensors))
-    ).units(rig)
-    sensors = list(rig.sensors)
-    for place, sensor in enumerate(rig.sensors):
-        own = sensor.sensor_from_rig
-        if place in shown and own is not None and _ran_off(shown[place], own, units, max_lever_off):
-            shown[place] = transforms.rigid(shown[place][:3, :3], units * own[:3, 3])
-        if place in shown:
-            sensors[place] = replace(sensor, sensor_from_rig=shown[place])
-        elif own is not None and place:
-            sensors[place] = replace(sensor, sensor_from_rig=transforms.rigid(own[:3, :3], units * own[:3, 3]))
+    found = replace(rig, sensors=tuple(replace(s, sensor_from_rig=shown.get(k)) for k, s in enumerate(rig.sensors)))
+    sensors = [rig.sensors[0]]
+    for place, given in enumerate(rig.scaled(found.units(rig)).sensors[1:], start=1):
+        pose, own = shown.get(place, given.sensor_from_rig), given.sensor_from_rig
+        length = 0.0 if own is None else float(np.linalg.norm(own[:3, 3]))
+        if pose is not None and own is not None and length > 0:
+            # A camera with few ties may be anywhere (canal's up camera: three times too far).
+            if np.linalg.norm(pose[:3, 3] - own[:3, 3]) > max_lever_off * length:
+                pose = transforms.rigid(pose[:3, :3], own[:3, 3])
+        sensors.append(replace(given, sensor_from_rig=pose))
     return replace(rig, sensors=tuple(sensors))
 
 
-def _ran_off(found: np.ndarray, given: np.ndarray, units: float, most: float) -> bool:
-    """Whether a lever arm differs too much from the given one: a camera with few ties (canal's up camera, three times
-    too long)."""
-    length = units * float(np.linalg.norm(given[:3, 3]))
-    return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > most * length
-
-
-def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> int:
-    """Set and register the frames of a model without poses; returns the number of images placed."""
-    first = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
+def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> None:
+    """Set and register the frames of a model without poses."""
     for frame_id, frame in list(model.frames.items()):
         names = [model.image(d.id).name for d in frame.image_ids]
         rows = [scene.image_index[n] for n in names if n in scene.image_index]
         if not rows:
             continue
-        rig = model.rig(frame.rig_id)
         index = frame.rig_id - 1
         if index in start.rigs:
-            place = rig.ref_sensor_id.id - 1 - int(first[index])
+            place = model.rig(frame.rig_id).ref_sensor_id.id - 1 - scene.first_sensor(index)
             extrinsics = start.rigs[index].sensors[place].sensor_from_rig
             reference = np.eye(4) if extrinsics is None else extrinsics
             pose = reference @ transforms.invert(start.world_from_rig[scene.frame[rows[0]]])
@@ -281,7 +242,6 @@ def place_frames(model: pycolmap.Reconstruction, scene: Scene, start: Start) -> 
         if np.isfinite(pose).all():
             model.frame(frame_id).rig_from_world = rigid3d(pose)
             model.register_frame(frame_id)
-    return int(model.num_reg_images())
 
 
 @dataclass(frozen=True)
@@ -294,11 +254,6 @@ class StartCheck:
     turned_deg: np.ndarray
     off: np.ndarray
     bad: np.ndarray
-
-    @property
-    def share(self) -> float:
-        """The share of images that disagree, among those with both poses."""
-        return float(self.bad.sum()) / max(int(self.both.sum()), 1)
 
 
 def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: StartCheckTuning) -> StartCheck:
@@ -338,13 +293,14 @@ def start_told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tup
     if not len(bad):
         return f"start model: {agree}", False
     names = ", ".join(scene.names[k] for k in bad[:_NAMED]) + (" ..." if len(bad) > _NAMED else "")
+    share = len(bad) / count
     turned, off = np.median(found.turned_deg[bad]), found.off[found.bad & np.isfinite(found.off)]
     where = f" and {np.median(off):.2g} of that distance off" if len(off) else ""
     text = (
         f"{len(bad)} images do not: they are rotated relative to the others by {turned:.2g} deg{where} (median), such "
         f"as {names}"
     )
-    why = "is it of another survey, or are names different?" if found.share > tuning.most else "is it bent there?"
-    contradicts = found.share > tuning.share
+    why = "is it of another survey, or are names different?" if share > tuning.most else "is it bent there?"
+    contradicts = share > tuning.share
     ending = f"; its poses were used only to choose pairs: {why}" if contradicts else ""
     return f"start model and images: {agree}; {text}{ending}", contradicts

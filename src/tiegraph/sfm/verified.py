@@ -1,4 +1,4 @@
-"""The verified matches of a database, and which of them a model explains."""
+"""The verified pairs and matches of a database, and which of the matches a model explains."""
 
 from __future__ import annotations
 
@@ -14,9 +14,45 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.transforms import cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix, registered_images
+from tiegraph.scene.graph import parts as connected
 from tiegraph.scene.rig import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import AgreementTuning
+
+
+class ViewGraph:
+    """The key points and verified pairs of each image in the database, and its connected component."""
+
+    def __init__(
+        self, database_path: Path, scene: Scene, min_matches: int, refused: Sequence[tuple[int, int]] = ()
+    ) -> None:
+        """Read the counts. Indices are those of the scene; ``component`` -1 = no verified pair except ``refused``
+        ones."""
+        with Rows(database_path) as rows:
+            names, features, table = rows.image_names(), rows.feature_counts(), rows.inlier_counts()
+        index = {image_id: scene.image_index.get(name, -1) for image_id, name in names.items()}
+        count = len(scene)
+        self.features = np.zeros(count, int)
+        for image_id, number in features.items():
+            if index.get(image_id, -1) >= 0:
+                self.features[index[image_id]] = number
+        table = table[table[:, 2] >= min_matches]
+        ends = np.array([[index.get(a, -1), index.get(b, -1)] for a, b, _ in table], int).reshape(-1, 2)
+        away = {(min(pair), max(pair)) for pair in refused}
+        inside = (ends >= 0).all(axis=1) & np.array([(min(e), max(e)) not in away for e in ends.tolist()], bool)
+        self.pairs, self.inliers = ends[inside], table[inside, 2]
+        self.i, self.j = self.pairs.T
+        self.degree = np.bincount(self.pairs.ravel(), minlength=count)
+        self.component = np.where(self.degree > 0, connected(self.i, self.j, count), -1)
+
+    def counts(self) -> np.ndarray:
+        """(P,) matches of the pairs."""
+        return self.inliers
+
+    @property
+    def components(self) -> list[int]:
+        """Sizes of the components of images with verified pairs, largest first."""
+        return sorted(np.bincount(self.component[self.component >= 0]).tolist(), reverse=True)
 
 
 @dataclass(frozen=True)
@@ -49,6 +85,21 @@ def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int
         xy = {index[image_id]: points for image_id, points in rows.keypoints() if image_id in index}
     pairs = np.array(sorted(found), int).reshape(-1, 2)
     return VerifiedMatches(pairs, tuple(found[int(a), int(b)] for a, b in pairs), xy)
+
+
+@dataclass(frozen=True)
+class MatchSource:
+    """A database with verified matches, pairs (scene indices) that do not count, and what a mapper sees of the rest:
+    pairs with at least ``least`` matches, and the images ``only`` (scene indices; None = all)."""
+
+    database: Path
+    refused: Sequence[tuple[int, int]] = ()
+    least: int = 0
+    only: np.ndarray | None = None
+
+    def read(self, scene: Scene) -> VerifiedMatches:
+        """All matches of the pairs that count."""
+        return read_verified(self.database, scene, self.refused)
 
 
 @dataclass(frozen=True)

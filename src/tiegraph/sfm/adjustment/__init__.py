@@ -5,8 +5,9 @@ comes from nor what is done with it: start, rig, sigmas and the adjustment in th
 
 **The final adjustment** (``adjust``) is robust, with free principal points.
 
-**Priors** (``constraints.add_priors`` adds them all). Values of rig.toml with a sigma (``rigpriors``), used in the
-final adjustment and in the one with positions; typical lens parameters (``lens``).
+**Priors** (``constraints.add_priors`` adds them all). Values of rig.toml with a sigma
+(``constraints.rig_priors``), used in the final adjustment and in the one with positions; typical lens parameters
+(``lens``).
 
 **Lever-arm prior from the rig's shape** (``leverarmprior``). The cameras look outwards from one body. The middle of
 the cameras, their distance from it along the optical axis and the scatter are unknowns of the same adjustment; they

@@ -8,9 +8,8 @@ import pycolmap
 
 from tiegraph.scene.colmapmodel import all_images, factorised, options_of, undamped
 from tiegraph.sfm.adjustment import lens, leverarmprior
-from tiegraph.sfm.adjustment.constraints import PoseConstraints, add_priors
-from tiegraph.sfm.adjustment.fewpoints import take_poses, thinned
-from tiegraph.sfm.tuning import AdjustTuning
+from tiegraph.sfm.adjustment.constraints import NOTHING, PoseConstraints, add_priors
+from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning
 
 Cameras = dict[int, pycolmap.Camera] | pycolmap.CameraMap
 
@@ -27,7 +26,7 @@ def final_adjustment(
     model: pycolmap.Reconstruction,
     fixed_rigs: Collection[int] = (),
     constant_cameras: Collection[int] = (),
-    soft: PoseConstraints | None = None,
+    soft: PoseConstraints = NOTHING,
     doubted: Collection[int] = (),
     *,
     tuning: AdjustTuning,
@@ -35,7 +34,9 @@ def final_adjustment(
     """Adjust poses, points, rig and intrinsics with principal points: once plainly, then twice robustly (Cauchy scale
     0.5 px) after points above 2 px were removed.
 
-    All adjustments but the last use few points where there are many (``fewpoints``).
+    All adjustments but the last use few points where there are many: the longest tracks, spread over each image. They
+    need poses good to a tenth of a pixel, not the best possible ones, and their time grows with the number of
+    observations. COLMAP's mappers do the same (github.com/colmap/colmap/pull/3650).
 
     ``fixed_rigs``: COLMAP ids of rigs whose extrinsics are held. ``constant_cameras``, and cameras with fewer than 10
     images, keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free radial
@@ -45,7 +46,7 @@ def final_adjustment(
     """
     free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
-    if leverarmprior.bring_back(adjusted, fixed_rigs, None if soft is None else soft.nominal, tuning):
+    if leverarmprior.bring_back(adjusted, fixed_rigs, soft.nominal, tuning):
         solve_points(adjusted, tuning)
     drop_momentary(adjusted, tuning.enough_seen)
     few, last = thinned(adjusted, tuning.few_points), tuning.model_copy(update={"iterations": tuning.last_iterations})
@@ -91,8 +92,8 @@ def adjusted_to(
     """
     out = pycolmap.Reconstruction(model)
     solve_points(out, tuning)
-    free, last = free_cameras(out, tuning) - set(constant_cameras), tuning.last_iterations
-    _solve(out, fixed_rigs, free, True, soft, tuning.model_copy(update={"iterations": last}))
+    free, last = free_cameras(out, tuning) - set(constant_cameras), {"iterations": tuning.last_iterations}
+    _solve(out, fixed_rigs, free, True, soft, tuning.model_copy(update=last))
     without_outliers(out, tuning)
     return out
 
@@ -110,7 +111,7 @@ def _with_doubted(
     fixed_rigs: Collection[int],
     free: set[int],
     doubted: set[int],
-    soft: PoseConstraints | None,
+    soft: PoseConstraints,
     tuning: AdjustTuning,
 ) -> tuple[pycolmap.Reconstruction, str]:
     """The model adjusted with free distortion of these calibrated cameras, if that explains the images better, and a
@@ -187,7 +188,7 @@ def _solve(
     fixed_rigs: Collection[int],
     free: set[int],
     robust: bool,
-    soft: PoseConstraints | None,
+    soft: PoseConstraints,
     tuning: AdjustTuning,
     given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> None:
@@ -204,7 +205,7 @@ def _solve(
         for sensor in model.rigs[rig_id].non_ref_sensors if rig_id in model.rigs else ():
             config.set_constant_sensor_from_rig_pose(sensor)
             held = True
-    if soft and soft.places:  # nothing is free, and the model is near its end
+    if soft.places:  # nothing is free, and the model is near its end
         undamped(options)
     elif soft:  # lengths are among what is known: only place and attitude are free
         config.set_constant_rig_from_world_pose(_anchor(model))
@@ -219,7 +220,7 @@ def _solve(
 def solve_points(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
     """Move each point to where its rays meet; everything else is held."""
     options = options_of(
-        tuning.points_iterations,
+        tuning.last_iterations,
         tuning.tolerance,
         tuning.robust_px,
         refine_focal_length=False,
@@ -258,3 +259,75 @@ def impossible_camera(before: Cameras, after: Cameras, cameras: Collection[int],
         if _centre_shift(before[camera_id], camera) > tuning.max_centre_shift * size:
             return camera_id
     return None
+
+
+def thinned(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> pycolmap.Reconstruction:
+    """A copy without the points that are not needed yet; the model itself where too few could be left out."""
+    waiting = points_that_can_wait(model, tuning)
+    if not waiting:
+        return model
+    out = pycolmap.Reconstruction(model)
+    for point_id in waiting:
+        out.delete_point3D(point_id)
+    return out
+
+
+def take_poses(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> None:
+    """Give ``model`` the intrinsics, rigs and poses of its copy that was adjusted with fewer points; its points
+    follow the images that see them."""
+    _take_points_along(model, few)
+    lens.take_cameras(model, few)
+    for key, rig in few.rigs.items():
+        for sensor, extrinsics in rig.non_ref_sensors.items():
+            if extrinsics is not None:
+                model.rig(key).set_sensor_from_rig(sensor, extrinsics)
+    for key in few.reg_frame_ids():
+        model.frame(key).rig_from_world = few.frame(key).rig_from_world
+
+
+def _take_points_along(model: pycolmap.Reconstruction, few: pycolmap.Reconstruction) -> None:
+    """Move each point to the mean of the places that follow from the new poses in ``few`` of the images that see it.
+
+    A model of thousands of images straightens by metres in its first adjustment. Points that were not moved along
+    exceeded the limits in pixels and were lost (479 of 599 thousand of 4020 images), and the rigs looked torn.
+    """
+    ids = np.array(sorted(model.point3D_ids()), int)
+    place = np.stack([model.point3D(k).xyz for k in ids.tolist()]) if len(ids) else np.zeros((0, 3))
+    total, count = np.zeros_like(place), np.zeros(len(ids))
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.image(image_id)
+        at = np.searchsorted(ids, np.array([p.point3D_id for p in image.get_observation_points2D()], int))
+        moved = (few.image(image_id).cam_from_world().inverse() * image.cam_from_world()).matrix()
+        np.add.at(total, at, place[at] @ moved[:, :3].T + moved[:, 3])
+        np.add.at(count, at, 1)
+    for k, xyz in zip(ids[count > 0].tolist(), total[count > 0] / count[count > 0, None]):
+        model.point3D(k).xyz = xyz
+
+
+def points_that_can_wait(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> list[int]:
+    """Ids, in order, of the points that are not among the longest tracks of any cell of any image; none if more than
+    the worthwhile share of the observations would stay."""
+    cell, point = _sightings(model, tuning.cells)
+    length = dict(zip(*(v.tolist() for v in np.unique(point, return_counts=True))))
+    order = np.lexsort((point, -np.array([length[p] for p in point.tolist()], int), cell))
+    _, start, count = np.unique(cell[order], return_index=True, return_counts=True)
+    rank = np.arange(len(order)) - np.repeat(start, count)
+    telling = np.unique(point[order][rank < tuning.in_a_cell])
+    if np.isin(point, telling).sum() > tuning.worth * len(point):
+        return []
+    return np.setdiff1d(np.array(sorted(model.point3D_ids()), int), telling).tolist()
+
+
+def _sightings(model: pycolmap.Reconstruction, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """(O,) number of the image's cell and (O,) id of the point, for every observation."""
+    cell, point = [np.zeros(0, int)], [np.zeros(0, int)]
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.image(image_id)
+        seen = image.get_observation_points2D()
+        if not seen or image.camera is None:
+            continue
+        size = np.array([image.camera.width, image.camera.height])
+        column, row = (np.clip(np.stack([p.xy for p in seen]) / size, 0, 1 - 1e-9) * cells).astype(int).T
+        cell.append((image_id * cells + row) * cells + column)
+        point.append(np.array([p.point3D_id for p in seen]))
+    return np.concatenate(cell), np.concatenate(point)

@@ -53,7 +53,7 @@ class Layout:
         self,
         model: pycolmap.Reconstruction,
         tuning: AdjustTuning,
-        nominal: Mapping[int, leverarmprior.NominalGeometry] | None = None,
+        nominal: Mapping[int, leverarmprior.NominalGeometry],
     ) -> sparse.csr_matrix:
         """(C, C) information matrix of the priors of lenses and of places in a rig.
 
@@ -61,9 +61,7 @@ class Layout:
         """
         parts = []
         for rig_id in self.rigs:
-            keys, expected = leverarmprior.information(
-                model.rigs[rig_id], tuning.lever_arms, (nominal or {}).get(rig_id)
-            )
+            keys, expected = leverarmprior.information(model.rigs[rig_id], tuning.lever_arms, nominal.get(rig_id))
             parts.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
         for camera_id, column in self.camera.items():
             camera = model.camera(camera_id)
@@ -80,13 +78,13 @@ def _chosen(key: int, free: bool | Collection[int]) -> bool:
 
 
 def _expected(camera: pycolmap.Camera, tuning: LensTuning) -> np.ndarray:
-    """Prior covariance of a camera's parameters in the adjustment; large for camera models without priors there."""
+    """Prior covariance of a camera's parameters. The adjustment has no priors for models other than OPENCV, but their
+    sigmas need weak ones."""
     if camera.model == pycolmap.CameraModelId.OPENCV:
         return lens.covariance(camera.mean_focal_length(), tuning)
     pixels = set(camera.focal_length_idxs()) | set(camera.principal_point_idxs())
-    wide = tuning.weak_pixels * camera.mean_focal_length()
-    sigma = [wide if p in pixels else tuning.weak_distortion for p in range(len(camera.params))]
-    return np.diag(np.square(sigma))
+    wide = tuning.loose_focal * camera.mean_focal_length()
+    return np.diag(np.square([wide if p in pixels else tuning.loose_radial for p in range(len(camera.params))]))
 
 
 @dataclass(frozen=True)
@@ -115,22 +113,33 @@ def sampled(points: Iterable[int], most: int) -> tuple[list[int], float]:
 
 def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]) -> System:
     """Jacobians of all observations of these points, and residuals."""
-    seen = _Observations.of(model, point_ids)
+    # Asking pycolmap for an image or an array of two numbers takes a microsecond, so each is asked for once.
+    points = [model.point3D(k) for k in point_ids]
+    elements = [point.track.elements for point in points]
+    flat = np.array([(e.image_id, e.point2D_idx) for track in elements for e in track], np.int64).reshape(-1, 2)
+    order = np.argsort(flat[:, 0], kind="stable")
+    image, feature = flat[order].T
+    point = np.repeat(np.arange(len(points)), [len(track) for track in elements])[order]
+    xyz, xy = np.array([p.xyz for p in points]).reshape(-1, 3)[point], np.empty((len(image), 2))
+    ids, first = np.unique(image, return_index=True)
     found, levers, cameras = [], [], []
-    for image_id, rows in seen.of_images():
-        image, world = model.image(image_id), seen.xyz[rows]
-        found.append(of_image(layout, image, world, seen.xy[rows]))
-        levers.append(world - image.projection_center())
-        cameras.append(np.full(len(world), image.camera_id))
+    for image_id, rows in zip(ids.tolist(), np.split(np.arange(len(image)), first[1:])):
+        own = model.image(image_id)
+        at = np.empty((own.num_points2D(), 2))
+        at[own.get_observation_point2D_idxs()] = [p.xy for p in own.get_observation_points2D()]
+        xy[rows] = at[feature[rows]]
+        found.append(of_image(layout, own, xyz[rows], xy[rows]))
+        levers.append(xyz[rows] - own.projection_center())
+        cameras.append(np.full(len(rows), own.camera_id))
     by_point = np.concatenate([part.of_point for part in found])
-    point = np.repeat(3 * seen.point[:, None] + np.arange(3), 2, axis=0)  # (2O, 3) columns
+    columns = np.repeat(3 * point[:, None] + np.arange(3), 2, axis=0)  # (2O, 3)
     return System(
         cameras=_by_rows([(p.dense, np.tile(p.columns, (2 * len(p.dense), 1))) for p in found], layout.size),
-        points=_by_rows([(by_point, point)], 3 * len(point_ids)),
+        points=_by_rows([(by_point, columns)], 3 * len(point_ids)),
         residual=np.concatenate([part.residual.ravel() for part in found]),
-        image=seen.image,
+        image=image,
         camera=np.concatenate(cameras),
-        xy=seen.xy,
+        xy=xy,
         by_point=by_point,
         lever=np.concatenate(levers),
     )
@@ -151,41 +160,6 @@ class OfImage:
     columns: np.ndarray
     of_point: np.ndarray
     residual: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Observations:
-    """O observations of some points, by image id, then in the order of the points."""
-
-    image: np.ndarray  # (O,) id
-    point: np.ndarray  # (O,) place in the list of points
-    xyz: np.ndarray  # (O, 3) of the point
-    xy: np.ndarray  # (O, 2) measured, pixels
-
-    @staticmethod
-    def of(model: pycolmap.Reconstruction, point_ids: list[int]) -> _Observations:
-        """All observations of the points. Asking pycolmap for an image or an array of two numbers takes a
-        microsecond, so each is asked for once."""
-        points = [model.point3D(k) for k in point_ids]
-        elements = [point.track.elements for point in points]
-        flat = np.array([(e.image_id, e.point2D_idx) for track in elements for e in track], np.int64).reshape(-1, 2)
-        point = np.repeat(np.arange(len(points)), [len(track) for track in elements])
-        order = np.argsort(flat[:, 0], kind="stable")
-        (image, feature), point = flat[order].T, point[order]
-        xyz = np.array([p.xyz for p in points]).reshape(-1, 3)[point]
-        found = _Observations(image=image, point=point, xyz=xyz, xy=np.empty((len(image), 2)))
-        for image_id, rows in found.of_images():
-            own = model.image(image_id)
-            at = np.empty((own.num_points2D(), 2))
-            at[own.get_observation_point2D_idxs()] = [p.xy for p in own.get_observation_points2D()]
-            found.xy[rows] = at[feature[rows]]
-        return found
-
-    def of_images(self) -> list[tuple[int, slice]]:
-        """(id, rows) of each image."""
-        ids, first = np.unique(self.image, return_index=True)
-        ends = [*first[1:].tolist(), len(self.image)]
-        return [(k, slice(*rows)) for k, *rows in zip(ids.tolist(), first.tolist(), ends)]
 
 
 def of_image(layout: Layout, image: pycolmap.Image, world: np.ndarray, measured: np.ndarray) -> OfImage:

@@ -8,7 +8,6 @@ weight, and where the images determine the place they outweigh the prior.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,9 +34,7 @@ def expected_centres(
     In model units, without the reference. Empty for rigs of fewer than five cameras and for rigs whose cameras share
     one centre.
     """
-    places = _places(rig, drawing)
-    keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
-    out = {}
+    (centres, axes, drawn), keys, out = _places(rig, drawing), _cameras(rig), {}
     for row, key in enumerate(keys, start=1) if len(keys) >= tuning.least_others else ():
         others = np.arange(len(centres)) != row
         rules = [_outward(centres[others], axes[others], axes[row], tuning.uneven)]
@@ -47,22 +44,18 @@ def expected_centres(
     return {k: (centre, sigma) for k, (centre, sigma) in out.items() if sigma > 0}
 
 
-@dataclass(frozen=True)
-class _Places:
-    """Ids of all cameras but the reference; centres, axes and nominal centres (N, 3), the reference first."""
-
-    keys: list[int]
-    centres: np.ndarray
-    axes: np.ndarray
-    drawn: np.ndarray | None
+def _cameras(rig: pycolmap.Rig) -> dict[int, pycolmap.Rigid3d]:
+    """The poses of all cameras but the reference, by id."""
+    return {i.id: pose for i, pose in rig.non_ref_sensors.items() if pose is not None}
 
 
-def _places(rig: pycolmap.Rig, drawing: NominalGeometry | None) -> _Places:
-    poses = {i.id: pose.inverse() for i, pose in rig.non_ref_sensors.items() if pose is not None}
+def _places(rig: pycolmap.Rig, drawing: NominalGeometry | None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Centres, axes and nominal centres (N, 3), the reference first."""
+    poses = {k: pose.inverse() for k, pose in _cameras(rig).items()}
     centres = np.array([np.zeros(3), *(p.translation for p in poses.values())])
     axes = np.array([[0.0, 0, 1], *(p.rotation.matrix()[:, 2] for p in poses.values())])
     drawn = np.array([np.zeros(3), *((drawing or {}).get(k, np.full(3, np.nan)) for k in poses)])
-    return _Places(keys=list(poses), centres=centres, axes=axes, drawn=drawn if np.isfinite(drawn).all() else None)
+    return centres, axes, drawn if np.isfinite(drawn).all() else None
 
 
 def _as_drawn(centres: np.ndarray, drawn: np.ndarray, place: np.ndarray, inexact: float) -> tuple[np.ndarray, float]:
@@ -92,9 +85,8 @@ def information(
     It measures the deviation from the rule; the parameters of the rule (middle and distance, or rotation and scale)
     are estimated from the same cameras and eliminated.
     """
-    expected = expected_centres(rig, tuning, drawing)
-    places = _places(rig, drawing)
-    keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
+    expected, keys = expected_centres(rig, tuning, drawing), list(_cameras(rig))
+    centres, axes, drawn = _places(rig, drawing)
     if len(expected) < len(keys) or not keys:
         return [], np.zeros((0, 0))
     outward = _outward(centres, axes, axes[0], tuning.uneven)[1]
@@ -117,7 +109,7 @@ def information(
 def bring_back(
     model: pycolmap.Reconstruction,
     fixed: Collection[int],
-    nominal: Mapping[int, NominalGeometry] | None,
+    nominal: Mapping[int, NominalGeometry],
     tuning: AdjustTuning,
 ) -> bool:
     """Move cameras that share hardly any point with others, and are far from their predicted place in the rig, to
@@ -129,13 +121,13 @@ def bring_back(
     """
     rules, there = tuning.lever_arms, False
     for rig_id, rig in model.rigs.items():
-        expected = {} if rig_id in fixed else expected_centres(rig, rules, (nominal or {}).get(rig_id))
-        for sensor, pose in rig.non_ref_sensors.items():
-            if pose is None or sensor.id not in expected:
+        expected = {} if rig_id in fixed else expected_centres(rig, rules, nominal.get(rig_id))
+        for key, pose in _cameras(rig).items() if expected else ():
+            if key not in expected:
                 continue
-            centre, sigma = expected[sensor.id]
+            centre, sigma = expected[key]
             apart = np.linalg.norm(pose.inverse().translation - centre) > rules.cauchy_sigmas * sigma
-            if apart and _shared(model, sensor.id) < tuning.min_points:
+            if apart and _shared(model, key) < tuning.min_points:
                 pose.translation = -pose.rotation.matrix() @ centre
                 there = True
     return there
@@ -195,7 +187,7 @@ class _CentresCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
 
 
 def add_priors(
-    problem: Any, model: pycolmap.Reconstruction, nominal: Mapping[int, NominalGeometry] | None, tuning: AdjustTuning
+    problem: Any, model: pycolmap.Reconstruction, nominal: Mapping[int, NominalGeometry], tuning: AdjustTuning
 ) -> list[Any]:
     """Add the prior of each rig's geometry to the problem; keep the returned objects until it is solved. ``nominal``:
     geometry of rigs by rig id.
@@ -205,9 +197,8 @@ def add_priors(
     """
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():
-        keys, known = information(rig, tuning.lever_arms, (nominal or {}).get(rig_id))
-        poses = {i.id: pose.params for i, pose in rig.non_ref_sensors.items() if pose is not None}
-        blocks = [poses[k] for k in keys]
+        keys, known = information(rig, tuning.lever_arms, nominal.get(rig_id))
+        blocks = [pose.params for k, pose in _cameras(rig).items() if k in keys]
         unseen = [b for b in blocks if not problem.has_parameter_block(b)]
         if all(problem.is_parameter_block_constant(b) for b in blocks if problem.has_parameter_block(b)):
             continue

@@ -1,16 +1,14 @@
 """The rig in the model: how it is used, whether it is rigid and synchronised, and what happens when it is not.
 
-**Sensors without ties** (``support``). A sensor of a refined rig most of whose images have no ties (an up camera
-under the open sky) is placed as given: with a few false ties it would diverge, and no residual would show it.
+**Sensors without ties** (``rig.unsupported_sensors``). A sensor of a refined rig most of whose images have no ties
+(an up camera under the open sky) is placed as given: with a few false ties it would diverge, and no residual would
+show it.
 
-**The rig against the images** (``linear``, ``priortest``, ``confront``). One system of equations holds times, places,
-rotations and lenses; frames and points are eliminated. Of all groups of unknowns the one that explains most for its
-number of parameters (Bayesian information criterion) is freed, then the next, until none explains more than chance. A
-step too large for one linearisation frees nothing and is reported without figures. Observations that the mapper left
-out because the rig was held are not in the model, so the verified matches between cameras are tested too
-(``diagnostics``): two cameras that fire at different times fit to a tenth of a pixel, while half of their matches
-contradict the model. Orders of the user are obeyed (``--sparse.rig fixed``, ``synchronised = true``); contradictions
-to them are reported.
+**The rig against the images** (``linear``, ``confront``). One system of equations holds times, places,
+rotations and lenses; frames and points are eliminated. Hypotheses on which of them differ from the file compete. A step
+too large for one linearisation frees nothing and is reported without figures. Observations that the mapper left out
+because the rig was held are not in the model, so the verified matches between cameras are tested too (``diagnostics``).
+Orders of the user are obeyed (``--sparse.rig fixed``, ``synchronised = true``); contradictions to them are reported.
 
 **Times** (``rigcheck``, ``sfm.motion``). Cameras that certainly fire at different times get their own times: key
 points are moved to the frame's instant by the motion, the rig is adjusted as one, and the same system gives the next

@@ -10,7 +10,7 @@ al. 2000, section 6). A hypothesis is a choice of priors, and its cost is a solu
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
@@ -56,13 +56,10 @@ class RigSystem:
         """Indices of the unknowns of one kind."""
         return np.array([k for k, key in enumerate(self.keys) if key[0] == what], int)
 
-    def only(self, what: str) -> RigSystem:
-        """The same with the unknowns of one kind only, the others held."""
-        at = self.where(what)
-        return replace(
-            self, keys=tuple(self.keys[k] for k in at), curvature=self.curvature[np.ix_(at, at)],
-            gradient=self.gradient[at], scatter=self.scatter[np.ix_(at, at)],
-        )  # fmt: skip
+    def mounting(self, sensor: int) -> np.ndarray:
+        """(6,) indices of a camera's place and rotation."""
+        at = [k for what in ("place", "turn") for k in self.where(what) if self.keys[k][1] == sensor]
+        return np.array(at, int)
 
     def solve(self, sigma: np.ndarray) -> RigSolution:
         """The unknowns with prior value zero and prior ``sigma`` (K,): 0 = held, inf = free."""
@@ -110,8 +107,6 @@ def rig_system(
     few observations. ``lenses``: ids of cameras whose parameters are unknowns too.
     """
     sensors, first = scene.rigs[index].sensors, scene.first_sensor(index) + 1
-    if any(s.sensor_from_rig is None for s in sensors):
-        return None
     part = _stretch(model, scene, index, tuning.rig.system.most_frames)
     if part.num_reg_frames() < tuning.rig.system.least_frames:
         return None
@@ -133,7 +128,7 @@ def rig_system(
             columns.append(of_lens(part, seen, first + k))
             keys += [("lens", k, axis) for axis in range(columns[-1].shape[1])]
     told = found.weighed.score(sparse.hstack(columns).tocsr())
-    off, share = _off(part, scene, index, metres_per_unit), found.share
+    off, share = deviations(part, scene, index, metres_per_unit), found.share
     there = np.array([off.get(key, 0.0) for key in keys])
     rates = [np.linalg.norm(motion.rate(i)[:3]) for i in part.reg_image_ids()]
     return RigSystem(
@@ -150,7 +145,7 @@ def rig_system(
     )
 
 
-def _off(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float) -> dict[Key, float]:
+def deviations(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float) -> dict[Key, float]:
     """Deviations of the cameras of the model's rig from the scene's, metres and radians along the axes of the rig."""
     out: dict[Key, float] = {}
     for k, (own, given) in enumerate(zip(model_rigs(model, scene)[index].sensors, scene.rigs[index].sensors)):
@@ -158,9 +153,8 @@ def _off(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
             there, told = transforms.invert(own.sensor_from_rig), transforms.invert(given.sensor_from_rig)
             place = metres_per_unit * there[:3, 3] - told[:3, 3]
             turn = Rotation.from_matrix(there[:3, :3] @ told[:3, :3].T).as_rotvec()
-            out |= {
-                (what, k, axis): float(v[axis]) for what, v in (("place", place), ("turn", turn)) for axis in range(3)
-            }
+            each = zip(("place", "turn"), (place, turn))
+            out |= {(what, k, axis): float(v[axis]) for what, v in each for axis in range(3)}
     return out
 
 

@@ -1,7 +1,7 @@
-"""The rig in the mapping: how it is used, extrinsics derived from a model without it, and how far a
-model moved them."""
+"""The rig in the mapping: how it is used, extrinsics derived from a model without it, sensors that have too few ties,
+and how far a model moved them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,17 +10,18 @@ import pycolmap
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
-from tiegraph.scene.colmapmodel import image_poses, matrix
+from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d, sensor_id
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning, SupportTuning
+from tiegraph.sfm.verified import ViewGraph
 
 
-def held_by_mapper(rig: Rig, mode: str, tuning: RigTuning) -> bool:
-    """Whether a mapper keeps the extrinsics as given; those with sigmas are released in the final adjustment only."""
-    if mode == "soft":
-        return all((s.sigma_deg or 0.0) <= tuning.tight_deg for s in rig.sensors[1:])
-    return mode == "fixed"
+def held_by_mapper(scene: Scene, modes: Mapping[int, str], tuning: RigTuning) -> tuple[int, ...]:
+    """The rigs whose extrinsics a mapper keeps; those with larger sigmas are released in the final adjustment only."""
+    tight = {k: all((s.sigma_deg or 0.0) <= tuning.tight_deg for s in scene.rigs[k].sensors[1:]) for k in modes}
+    return tuple(k for k, mode in modes.items() if mode == "fixed" or (mode == "soft" and tight[k]))
 
 
 def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
@@ -54,71 +55,67 @@ def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
 
 
 @dataclass(frozen=True)
-class SensorScatter:
-    """One sensor relative to its rig, over the frames that show both: robust average and scatter over the frames."""
+class _Scatter:
+    """One sensor relative to another over the frames that show both: their number, the MAD of the rotation angle to
+    the robust average, and the share of frames far from it."""
 
-    sensor: str
     frames: int
-    scatter_deg: float  # MAD of the rotation angle to the average
-    outliers: float  # share of frames farther than 5 degrees from the average
-
-    def rigid(self, tuning: DeriveTuning) -> bool:
-        """Whether the frames agree on one mounting."""
-        enough = self.frames >= tuning.min_frames
-        return enough and self.scatter_deg <= tuning.max_scatter_deg and self.outliers <= tuning.max_outliers
+    deg: float
+    outliers: float
 
     def why_not(self, tuning: DeriveTuning) -> str:
-        """Why ``rigid`` says no."""
+        """Why the frames do not agree on one mounting; "" if they do."""
         if self.frames < tuning.min_frames:
             return f"only {self.frames} frames show it together with the others"
+        if self.deg <= tuning.max_scatter_deg and self.outliers <= tuning.max_outliers:
+            return ""
         return (
-            f"its rotation scatters by {self.scatter_deg:.2f} deg with {self.outliers:.0%} outliers over "
-            f"{self.frames} frames: it is not rigid, not synchronised, or the model without rig is bent there"
+            f"its rotation scatters by {self.deg:.2f} deg with {self.outliers:.0%} outliers over {self.frames} frames: "
+            "it is not rigid, not synchronised, or the model without rig is bent there"
         )
 
 
-@dataclass(frozen=True)
-class DerivedRig:
-    """Extrinsics from a model made without the rig; sensors that are not rigid relative to it are left out."""
-
-    rig: Rig | None  # None: no two sensors are rigid
-    scatter: tuple[SensorScatter, ...]
-    left_out: tuple[tuple[str, str], ...]  # sensor name, why it is not in the rig
-
-
-def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction], tuning: DeriveTuning) -> DerivedRig:
-    """Extrinsics of rig ``index`` by robust averages over the frames of models made without it.
+def derive_rig(
+    scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction], tuning: DeriveTuning
+) -> tuple[Rig | None, str]:
+    """Extrinsics of rig ``index`` by robust averages over the frames of models made without it, and a remark; None if
+    no two sensors are rigid.
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline
     (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was. Lengths
     are in units of the first model. The MAD of each sensor is the test of rigidity and synchronisation; a sensor that
     fails it is left out.
     """
-    poses = [image_poses(m, scene) for m in models]
     rig = scene.rigs[index]
+    names = [s.name for s in rig.sensors]
     found: dict[int, np.ndarray] = {0: np.eye(4)}
-    rows: list[SensorScatter] = []
+    held: dict[int, _Scatter] = {}
     left_out: dict[int, str] = {}
-    relative = _relative_poses(scene, index, poses)
+    relative = _relative_poses(scene, index, [image_poses(m, scene) for m in models])
     while True:
         ready = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found and b not in left_out}
         if not ready:
             break
         (a, b), stack = max(ready.items(), key=lambda item: (len(item[1]), -item[0][0], -item[0][1]))
-        average, scatter = _average(stack, rig.sensors[b].name, tuning.outlier_deg)
-        rows.append(scatter)
-        if scatter.rigid(tuning):
-            found[b] = average @ found[a]
+        average, scatter = _average(stack, tuning.outlier_deg)
+        if why := scatter.why_not(tuning):
+            left_out[b] = why
         else:
-            left_out[b] = scatter.why_not(tuning)
-    for b in range(len(rig.sensors)):
+            found[b], held[b] = average @ found[a], scatter
+    for b in range(len(names)):
         if b not in found:
             left_out.setdefault(b, "no frame shows it together with the others in one model")
-    names = tuple((rig.sensors[b].name, why) for b, why in sorted(left_out.items()))
-    if len(found) < 2:
-        return DerivedRig(None, tuple(rows), names)
+    lost = "; ".join(f"{names[b]}: {why}" for b, why in sorted(left_out.items()))
+    if not held:
+        none = "its extrinsics could not be determined; the images were mapped without the rig"
+        return None, f"rig {rig.name}: {none} ({lost})"
+    worst = max(held, key=lambda k: held[k].deg)
+    said = (
+        f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found from a model without rig and then "
+        f"adjusted; largest scatter over frames {held[worst].deg:.2f} deg ({names[worst]}, {held[worst].frames} frames)"
+    ) + (f"; left out: {lost}" if lost else "")
     sensors = tuple(replace(s, sensor_from_rig=found.get(k)) for k, s in enumerate(rig.sensors))
-    return DerivedRig(replace(rig, sensors=sensors, fixed=False, nominal=True), tuple(rows), names)
+    return replace(rig, sensors=sensors, fixed=False, nominal=True), said
 
 
 def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
@@ -143,63 +140,112 @@ def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> di
     return {key: np.stack(steps) for key, steps in out.items()}
 
 
-def _average(stack: np.ndarray, name: str, outlier_deg: float) -> tuple[np.ndarray, SensorScatter]:
+def _average(stack: np.ndarray, outlier_deg: float) -> tuple[np.ndarray, _Scatter]:
     rotation = l1_mean_rotation(stack[:, :3, :3])
     angles = transforms.angle_deg(stack[:, :3, :3], rotation)
     close = angles < outlier_deg
-    translations = stack[close if close.any() else slice(None), :3, 3]
-    translation = np.median(translations, axis=0)
-    scatter = SensorScatter(
-        sensor=name,
-        frames=len(stack),
-        scatter_deg=float(np.median(angles)),
-        outliers=float(np.mean(~close)),
-    )
+    translation = np.median(stack[close if close.any() else slice(None), :3, 3], axis=0)
+    scatter = _Scatter(len(stack), float(np.median(angles)), float(np.mean(~close)))
     return transforms.rigid(rotation, translation), scatter
 
 
-def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, index: int) -> list[np.ndarray | None]:
+def model_extrinsics(model: pycolmap.Reconstruction, scene: Scene, index: int) -> list[np.ndarray | None]:
     """sensor_from_rig (4, 4) of each sensor of rig ``index`` as the model has it; None = not in the model's rig.
 
-    Re-expressed to the scene's rig frame when the model had to take another sensor as reference.
+    Re-expressed to the scene's rig frame where the model had to take another sensor as reference.
     """
-    rig = scene.rigs[index]
-    first_key = scene.first_sensor(index)
-    camera_of = {int(scene.sensor_key[scene.image_index[i.name]]): i.camera_id
-                 for i in reconstruction.images.values() if i.name in scene.image_index}  # fmt: skip
-    out: list[np.ndarray | None] = [None] * len(rig.sensors)
-    cameras = {s: camera_of[first_key + s] for s in range(len(rig.sensors)) if first_key + s in camera_of}
-    for row in reconstruction.rigs.values():
-        if row.num_sensors() < 2 or row.ref_sensor_id.id not in cameras.values():
-            continue
-        reference = next(s for s, c in cameras.items() if c == row.ref_sensor_id.id)
-        back = rig.sensors[reference].sensor_from_rig
-        back = np.eye(4) if reference == 0 or back is None else back
-        out[reference] = back
-        by_camera = {key.id: pose for key, pose in row.non_ref_sensors.items()}
-        for s, camera in cameras.items():
-            if by_camera.get(camera) is not None:
-                out[s] = matrix(by_camera[camera]) @ back
+    sensors, first = scene.rigs[index].sensors, scene.first_sensor(index)
+    out: list[np.ndarray | None] = [None] * len(sensors)
+    row = model.rigs[index + 1] if index + 1 in model.rigs else None
+    if row is None or row.num_sensors() < 2:
+        return out
+    reference = row.ref_sensor_id.id - 1 - first
+    given = sensors[reference].sensor_from_rig if reference else None
+    out[reference] = back = np.eye(4) if given is None else given
+    for sensor, pose in row.non_ref_sensors.items():
+        out[sensor.id - 1 - first] = None if pose is None else matrix(pose) @ back
     return out
 
 
-def rig_table(scene: Scene, reconstruction: pycolmap.Reconstruction, metres_per_unit: float = 1.0) -> dict:
+def rig_table(scene: Scene, model: pycolmap.Reconstruction) -> dict:
     """Table of each sensor's rotation and shift relative to the given rig; empty rows without a given rig."""
     rows = []
     for index, rig in enumerate(scene.rigs):
-        extrinsics = model_extrinsics(reconstruction, scene, index)
-        for sensor, adjusted in zip(rig.sensors[1:], extrinsics[1:]):
+        for sensor, adjusted in zip(rig.sensors[1:], model_extrinsics(model, scene, index)[1:]):
             if adjusted is None:
                 continue
-            baseline = float(np.linalg.norm(transforms.centre(adjusted))) * metres_per_unit
-            turn, shift = float("nan"), float("nan")
+            turn = shift = None
             if sensor.sensor_from_rig is not None:
-                turn = float(transforms.angle_deg(adjusted[:3, :3], sensor.sensor_from_rig[:3, :3]))
-                moved = transforms.centre(adjusted) * metres_per_unit - transforms.centre(sensor.sensor_from_rig)
-                shift = float(np.linalg.norm(moved))
-            rows.append([rig.name, sensor.name, _finite(turn, 3), _finite(shift, 4), _finite(baseline, 4)])
+                turn = round(float(transforms.angle_deg(adjusted[:3, :3], sensor.sensor_from_rig[:3, :3])), 3)
+                moved = transforms.centre(adjusted) - transforms.centre(sensor.sensor_from_rig)
+                shift = round(float(np.linalg.norm(moved)), 4)
+            baseline = round(float(np.linalg.norm(transforms.centre(adjusted))), 4)
+            rows.append([rig.name, sensor.name, turn, shift, baseline])
     return {"columns": ["rig", "camera", "turned deg", "moved", "baseline"], "rows": rows}
 
 
-def _finite(value: float, digits: int) -> float | None:
-    return round(value, digits) if np.isfinite(value) else None
+def unsupported_sensors(
+    scene: Scene, graph: ViewGraph, modes: Mapping[int, str], tuning: SupportTuning
+) -> tuple[int, ...]:
+    """Keys of sensors of refined rigs most of whose images have fewer than two verified pairs; never a reference.
+
+    A camera that looks at sky and bridge decks has few true ties and some false ones. Refined with the rig it
+    diverges: on ``canal`` the up camera's focal length by a factor of four and its place by 24 m, and no residual
+    shows it. So its place in the rig stays as given.
+    """
+    out = []
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
+        for key in range(first + 1, first + len(rig.sensors)) if modes.get(index) == "refined" else ():
+            degree = graph.degree[scene.sensor_key == key]
+            if len(degree) and np.mean(degree >= tuning.min_ties) < tuning.min_share:
+                out.append(key)
+    return tuple(out)
+
+
+def ties_of(scene: Scene, graph: ViewGraph, sensors: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Verified pairs (scene indices) with an image of these sensors."""
+    of = np.isin(scene.sensor_key, sensors)
+    rows = of[graph.pairs[:, 0]] | of[graph.pairs[:, 1]]
+    return tuple((int(a), int(b)) for a, b in graph.pairs[rows])
+
+
+def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: Tuning) -> None:
+    """Set the extrinsics of sensors without observations as given, lengths in the model's units."""
+    scale = units_per_metre(model, scene, tuning)
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
+        held = model.rigs[index + 1] if index + 1 in model.rigs else None
+        for place, sensor in enumerate(rig.sensors):
+            identity = sensor_id(first + place + 1)
+            if first + place in sensors and place and held is not None and held.has_sensor_from_rig(identity):
+                extrinsics = np.array(sensor.sensor_from_rig, float)
+                extrinsics[:3, 3] *= scale
+                held.set_sensor_from_rig(identity, rigid3d(extrinsics))
+
+
+def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> float:
+    """Model units per metre: from prior positions far enough apart, else from the median baseline
+    of the rig, else 1."""
+    centre = transforms.centre(image_poses(model, scene))
+    position = scene.world_from_rig[scene.frame, :3, 3]
+    sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m, axis=1, initial=0.0))[scene.frame]
+    known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1) & (scene.sensor == 0))
+    support, least = tuning.rig.support, tuning.start.scale
+    rng = np.random.default_rng(0)
+    if len(known) >= least.least_positions:
+        a, b = rng.choice(known, (2, support.pairs))
+        apart = np.linalg.norm(position[a] - position[b], axis=1)
+        far = apart > support.position_sigmas * np.maximum(sigma[a] + sigma[b], least.least_noise_m)
+        if far.sum() >= least.least_distances:
+            return float(np.median(np.linalg.norm(centre[a] - centre[b], axis=1)[far] / apart[far]))
+    return _by_baselines(model, scene)
+
+
+def _by_baselines(model: pycolmap.Reconstruction, scene: Scene) -> float:
+    ratios = []
+    for index, (first, rig) in enumerate(scene.keyed_rigs):
+        row = model.rigs[index + 1] if index + 1 in model.rigs else None
+        for sensor, pose in row.non_ref_sensors.items() if row else ():
+            given = rig.sensors[sensor.id - 1 - first].sensor_from_rig
+            lever = 0.0 if given is None else float(np.linalg.norm(transforms.centre(given)))
+            ratios += [float(np.linalg.norm(pose.translation)) / lever] if lever and pose is not None else []
+    return float(np.median(ratios)) if ratios else 1.0

@@ -15,11 +15,9 @@ class MappingTuning(Section):
     """Images from which a survey without a rig is mapped globally: below some tens of images the incremental mapper is
     as fast (PYCOLMAP 4)."""
     clearly_fewer: float = Field(0.8, ge=0, le=1)
-    """Share of the connected images: if a mapper places fewer, another is tried and a note says why."""
+    """Share of the connected images: if a start or a mapper places fewer, another is tried and a note says why."""
     roughly_fewer: float = Field(0.5, ge=0, le=1)
     """The same share for a rough model, where more images see few of its fewer points."""
-    other_length: float = Field(1.25, gt=1)
-    """Ratio of the length of a path to that given by its rig, in either direction, from which it is mapped again."""
     other_focal: float = Field(1.4, gt=1)
     """Ratio of a focal length to the given one, in either direction, from which the other mapper is tried
     (`mapping.py`). Data sheets and EXIF are accurate to some percent; a diverged one was 2.1 times too long (a
@@ -27,8 +25,8 @@ class MappingTuning(Section):
     second_survey: int = Field(10, gt=0)
     """Images without any tie to the model that are mapped separately."""
     turned_share: float = Field(0.9, gt=0, le=1)
-    """Share of pairs explained by rotations alone, from which there is no base for a model (`turning.py`). Views of
-    one panorama 0.99; thirty real surveys 0 to 0.06, a drone over the sea 0.33."""
+    """Share of pairs explained by rotations alone, from which there is no base for a model (`registrationreport.py`).
+    Views of one panorama 0.99; thirty real surveys 0 to 0.06, a drone over the sea 0.33."""
     turned_off: float = Field(0.002, gt=0)
     """Residual of a rotation for such a pair, as a share of the longer side: 0.0003 in those views, 0.003 to 0.06 in
     the surveys."""
@@ -48,11 +46,11 @@ class LensTuning(Section):
     decentring: float = Field(0.0005, gt=0)
     """Sigma of p1, p2: lenses are centred to some hundredths of a millimetre."""
     loose_focal: float = Field(0.2, gt=0)
-    """Relative sigma of a focal length without calibration."""
+    """Relative sigma of a focal length without calibration (of a principal point too in models other than OPENCV)."""
     loose_centre: float = Field(0.1, gt=0)
     """Sigma of its principal point, as a share of the focal length."""
     loose_radial: float = Field(0.5, gt=0)
-    """Sigma of its k1, k2."""
+    """Sigma of its k1, k2 (of all distortion in models other than OPENCV)."""
     given_focal: float = Field(0.001, gt=0)
     """Relative sigma of the focal length of a calibration that the images contradict."""
     given_centre: float = Field(0.0015, gt=0)
@@ -61,15 +59,10 @@ class LensTuning(Section):
     """Sigma of its fx / fy."""
     given_radial: float = Field(0.1, gt=0)
     """Sigma of its k1, k2: its distortion is not trusted at all (PandaSet gives none)."""
-    weak_pixels: float = Field(0.2, gt=0)
-    """Sigma of focal length and principal point of models other than OPENCV, as a share of the focal length: the
-    adjustment has no prior for them, but their sigmas need a weak one."""
-    weak_distortion: float = Field(0.5, gt=0)
-    """Sigma of the distortion of such models, for the same reason."""
 
 
 class FewPointsTuning(Section):
-    """Points of the adjustments of models that are not yet near their solution (`fewpoints.py`).
+    """Points of the adjustments of models that are not yet near their solution (`adjust.py`).
 
     `sparse` with them, trajectory error and CPU time against all points: 1200 rendered images 3.6 -> 3.6 mm, 615 ->
     374 s; canal 3.8 -> 3.3 mm, 159 -> 99 s; PandaSet 26 -> 31 mm, 159 -> 128 s (the times of its cameras differ by 1
@@ -107,7 +100,7 @@ class AdjustTuning(Section):
     """Iterations of a solution with few points, at most: a flat minimum such as that of focal length and height over
     flat ground needs many. 0: the model stays as its mapper leaves it, neither adjusted nor checked."""
     last_iterations: int = Field(10, gt=0)
-    """Iterations of the last solutions, with all points."""
+    """Iterations of the last solutions, with all points, and of those for the points alone."""
     robust_rounds: int = Field(2, ge=0)
     """The last round has all points. The first plain solution is bent by observations that are filtered after it, and
     still by those that the robust solution rejects: with one more round without them canal_demo is 4.7 mm off instead
@@ -116,7 +109,11 @@ class AdjustTuning(Section):
     """Relative change of the cost that ends the iteration: canal_demo's trajectory is the same to 0.001 mm, in three
     quarters of the time."""
     enough_seen: int = Field(50, ge=0)
-    """Points of a frame seen by other frames too, from which its place needs no others."""
+    """Points that a frame or a group of frames shares with all others, from which its place needs no more; below, its
+    own errors, such as those of a blur, show in no residual. In 15 runs of kerry_park frames with fewer are off by up
+    to 120 times the median, with 50 to 100 by up to 13; P8 thinned to 89 points 5 times with 16, once with 40; KITTI
+    thinned to 807 has none below 50, and a half of its pass below 75, off 5 times. Sets that do well have 449 and
+    more."""
     max_centre_shift: float = Field(0.1, ge=0)
     """Shift of a principal point as a share of the image size; a larger one is a bent model, not a lens."""
     focal_range: tuple[float, float] = (0.2, 5.0)
@@ -125,8 +122,6 @@ class AdjustTuning(Section):
     """Reduction of the robust cost from which free distortion is used against a calibration."""
     few_points: FewPointsTuning = Field(default_factory=FewPointsTuning)
     """Points of all adjustments but the last."""
-    points_iterations: int = Field(10, gt=0)
-    """Iterations for the points alone, after the poses were found with few of them."""
     lens: LensTuning = Field(default_factory=LensTuning)
     """Priors of lenses."""
     lever_arms: LeverArmTuning = Field(default_factory=LeverArmTuning)
@@ -181,11 +176,6 @@ class ShutterTuning(Section):
 class RegistrationTuning(Section):
     """Remarks on losses and doubts of a model (`registrationreport.py`)."""
 
-    few_points: int = Field(50, gt=0)
-    """Points that a frame or a group of frames shares with all others, below which its own errors, such as those of a
-    blur, show in no residual. In 15 runs of kerry_park frames with fewer are off by up to 120 times the median, with
-    50 to 100 by up to 13; P8 thinned to 89 points 5 times with 16, once with 40; KITTI thinned to 807 has none below
-    50, and a half of its pass below 75, off 5 times. Sets that do well have 449 and more."""
     max_turned_deg: float = Field(3.0, ge=0)
     """Shift of the principal point of a camera in a held rig, as an angle; 1.5 at most in the correct rigs of canal
     and kerry_park."""

@@ -89,7 +89,8 @@ class ScaleTuning(Section):
     fine_grid: int = Field(21, gt=2)
     """Scales tried around the best of them."""
     near: float = Field(1.25, gt=1)
-    """Ratio of two scales whose votes must differ for the scale to be determined."""
+    """Ratio of two scales whose votes must differ for the scale to be determined; a path that is longer or shorter by
+    more is mapped again."""
     dip: float = Field(0.03, ge=0)
     """Relative difference of the votes that is needed then (KITTI's baseline 0.30, PandaSet's rig 0.000)."""
     distances: int = Field(4000, gt=0)
@@ -126,8 +127,6 @@ class StagedTuning(Section):
     """Rounds of placing the frames without a pose."""
     min_agreeing: float = Field(0.9, ge=0, le=1)
     """Share of the verified pairs whose matches the model explains."""
-    tied_pairs: int = Field(2, gt=0)
-    """Verified pairs from which an image counts as tied."""
     min_seeing: float = Field(0.9, ge=0, le=1)
     """Share of the tied images that see points."""
     max_error_px: float = Field(2.0, gt=0)
@@ -137,8 +136,6 @@ class StagedTuning(Section):
 class StartTuning(Section):
     """The start from approximate poses."""
 
-    min_share: float = Field(0.8, ge=0, le=1)
-    """Share of the images of one connected component that must have a pose for a start."""
     max_lever_off: float = Field(0.5, ge=0)
     """Relative deviation of the poses from a given lever arm; beyond it the start takes the given one."""
     told_change: float = Field(0.02, ge=0)

@@ -19,7 +19,7 @@ class LeverArmTuning(Section):
 
 
 class RigPriorTuning(Section):
-    """Values of a rig file with a sigma (`rigpriors.py`)."""
+    """Values of a rig file with a sigma (`constraints.py`)."""
 
     least_deg: float = Field(0.001, gt=0)
     """A sigma of 0 means "exactly": the smallest sigma that the solver can handle."""
@@ -45,7 +45,7 @@ class DeriveTuning(Section):
 
 
 class SupportTuning(Section):
-    """Sensors with too few ties, and the model's units from given values (`support.py`), where positions pass the
+    """Sensors with too few ties, and the model's units from given values (`rig.py`), where positions pass the
     tests of `sfm.start.scale`."""
 
     min_ties: int = Field(2, gt=0)
@@ -81,7 +81,7 @@ class SystemTuning(Section):
 
 
 class PriorTestTuning(Section):
-    """Test of which given values of a rig the images contradict (`priortest.py`). Lenses as shares of f."""
+    """Test of which given values of a rig the images contradict (`confront.py`). Lenses as shares of f."""
 
     given_m: float = Field(0.002, gt=0)
     """Sigma of the places of a calibrated rig unless its file gives one."""

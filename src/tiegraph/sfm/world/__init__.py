@@ -22,7 +22,7 @@ shape (``sfm.shape``) represent the images. One bundle adjustment then moves the
 and everything else follows the images; a large movement is repeated, because control points follow the frames that
 see them only to first order. The result is kept only if the held-out positions (every fifth) fit as well as with the
 similarity, and the images fit no worse (``georeference_folders``). The images of a shot whose cameras fire at
-different times keep their relative poses (``rigpriors.of_one_shot``).
+different times keep their relative poses (``constraints.of_one_shot``).
 
 **Several models** (``oneworld``): models that no tie joined for the mapper come into the world of the largest one by
 the matches between them, else by their own positions, and then into one model (``scene.colmapmodel``); models that

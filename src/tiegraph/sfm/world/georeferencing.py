@@ -17,8 +17,7 @@ from tiegraph.scene.colmapmodel import MOST_FRAMES, image_poses, matrix, read_mo
 from tiegraph.scene.evidence import CHANCE
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import adjusted_to, free_cameras
-from tiegraph.sfm.adjustment.constraints import PlacePrior
-from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, of_one_shot, rig_priors
+from tiegraph.sfm.adjustment.constraints import PlacePrior, nominal_geometry, of_one_shot, rig_priors
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
