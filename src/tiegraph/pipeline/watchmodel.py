@@ -21,8 +21,8 @@ from tiegraph.network.retrieval.loose import supported
 from tiegraph.network.retrieval.retrieval import nearest_images
 from tiegraph.network.sources import Context, sequence
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.resect import resect
 from tiegraph.odometry.tuning import PoseTuning
+from tiegraph.odometry.worldmap import resect
 from tiegraph.pipeline.coarse import coarse_model
 from tiegraph.pipeline.files import read_image, save_npz
 from tiegraph.pipeline.preview import preview_of, preview_path, read_preview
