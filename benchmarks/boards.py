@@ -28,12 +28,9 @@ import numpy as np
 import pycolmap
 
 import tiegraph  # noqa: F401  before pycolmap
-from tiegraph.calibrate.adjust import State, adjust_robustly
-from tiegraph.calibrate.board import detect, read_board
-from tiegraph.calibrate.covariance import Precision, parameters, precision
-from tiegraph.calibrate.judge import judge
-from tiegraph.calibrate.observations import CameraImages, Observations, View
-from tiegraph.calibrate.start import start
+from tiegraph.calibrate.adjust import State, adjust_robustly, start
+from tiegraph.calibrate.board import CameraImages, Observations, View, detect, read_board
+from tiegraph.calibrate.judge import Precision, judge, parameters, precision
 from tiegraph.calibrate.summary import lens_of
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms

@@ -20,8 +20,7 @@ import tiegraph  # noqa: F401  before pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.odometry.cameras import cameras_of
-from tiegraph.odometry.odometry import Odometry
-from tiegraph.odometry.path import OdometryPath, path_of
+from tiegraph.odometry.odometry import Odometry, OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.decoding import read_pixels

@@ -25,8 +25,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.lidar.scans import read_scan_poses
 from tiegraph.stations.joined import join, prepared
 from tiegraph.stations.loops import motion
-from tiegraph.stations.pairs import Pair, looked_through
-from tiegraph.stations.station import Shot, Station
+from tiegraph.stations.pairs import Pair, Shot, Station, looked_through
 from tiegraph.stations.tuning import Tuning
 
 DATA = Path(os.environ.get("TIEGRAPH_DATA", "data"))

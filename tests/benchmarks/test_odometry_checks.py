@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from odometry.odometry_world import FRAMES, drive, single, stereo, true_path, truth
 from tiegraph.geometry import transforms
-from tiegraph.odometry.path import OdometryPath
+from tiegraph.odometry.odometry import OdometryPath
 
 COUNT, PLACE_M, TURN = 400, 0.03, 0.002
 

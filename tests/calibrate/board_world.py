@@ -11,8 +11,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.calibrate.adjust import State
-from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board
-from tiegraph.calibrate.observations import CameraImages, Observations, View
+from tiegraph.calibrate.board import APRILGRID, CHARUCO, Board, CameraImages, Observations, View
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import on_plane
 

@@ -8,14 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibrate.board_world import board_before, boards_of_rig, camera, observed, rig_pose
-from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards
-from tiegraph.calibrate.board import read_board
-from tiegraph.calibrate.covariance import parameters, precision
-from tiegraph.calibrate.difference import Calibration, differences
-from tiegraph.calibrate.judge import judge
-from tiegraph.calibrate.observations import check_views
-from tiegraph.calibrate.start import start
-from tiegraph.calibrate.summary import kalibr_yaml, opencv_yaml, parameter_rows
+from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards, start
+from tiegraph.calibrate.board import check_views, read_board
+from tiegraph.calibrate.judge import judge, parameters, precision
+from tiegraph.calibrate.summary import Calibration, differences, kalibr_yaml, opencv_yaml, parameter_rows
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms

@@ -15,8 +15,7 @@ from tiegraph.cli.main import main
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
 from tiegraph.lidar import odometry as module
-from tiegraph.lidar.adjust import adjust, adjusted
-from tiegraph.lidar.odometry import MapCloud, ThinScan, odometry
+from tiegraph.lidar.odometry import MapCloud, ThinScan, adjust, adjusted, odometry
 from tiegraph.lidar.scans import Scan
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tuning import AdjustTuning, Tuning
@@ -43,9 +42,16 @@ def _error_m(thin: list[ThinScan], poses: np.ndarray) -> float:
     return rms(off_after_similarity(poses[:, :3, 3], true, with_scale=False))
 
 
+@pytest.fixture(scope="module")
+def drive() -> tuple[list[Turn], list[ThinScan]]:
+    """Turns, and what odometry makes of them; of the first ones it makes the same alone."""
+    made = turns(18)
+    return made, _thin(made)
+
+
 @pytest.mark.slow
-def test_adjusted_scans_are_better_than_odometry() -> None:
-    thin = _thin(turns(16))
+def test_adjusted_scans_are_better_than_odometry(drive: tuple[list[Turn], list[ThinScan]]) -> None:
+    made, thin = drive[0], drive[1][:16]
     first, second = np.array([s.pose for s in thin]), np.array(list(adjusted(thin, _TUNING.adjust)))
     path = 2.0 * (thin[-1].time_s - thin[0].time_s)
     before, after = _error_m(thin, first), _error_m(thin, second)
@@ -53,13 +59,14 @@ def test_adjusted_scans_are_better_than_odometry() -> None:
     true = world_from_lidar(np.array([s.time_s for s in thin]))
     moved, should = (transforms.invert(p[0]) @ p[-1] for p in (second, true))
     assert transforms.angle_deg(moved[:3, :3], should[:3, :3]) < 0.2
-    again = np.array(list(adjusted(_thin(turns(16)), _TUNING.adjust)))
-    np.testing.assert_array_equal(second, again)
+    again = _thin(made[:6])
+    np.testing.assert_array_equal(first[:6], [s.pose for s in again])
+    np.testing.assert_array_equal(*(list(adjusted(some, _TUNING.adjust)) for some in (again, thin[:6])))
 
 
 @pytest.mark.slow
-def test_windows_go_on_where_the_last_one_ended() -> None:
-    thin = _thin(turns(18))
+def test_windows_go_on_where_the_last_one_ended(drive: tuple[list[Turn], list[ThinScan]]) -> None:
+    thin = drive[1]
     poses = np.array(list(adjusted(thin, AdjustTuning(window=12))))
     assert len(poses) == len(thin) and 0 < _error_m(thin, poses) < 0.03
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
@@ -67,10 +74,10 @@ def test_windows_go_on_where_the_last_one_ended() -> None:
 
 
 @pytest.mark.slow
-def test_times_of_points_count() -> None:
+def test_times_of_points_count(drive: tuple[list[Turn], list[ThinScan]]) -> None:
     """Without them a turn is bent by its own motion, 20 cm at 2 m/s."""
-    made = turns(10)
-    with_times, without = _thin(made), _thin(made, timed=False)
+    made, with_times = drive[0][:10], drive[1][:10]
+    without = _thin(made, timed=False)
     held = np.array([s.pose for s in without])
     loose = adjust(without, held, 1, _TUNING.adjust)
     sharp = adjust(with_times, np.array([s.pose for s in with_times]), 1, _TUNING.adjust)

@@ -14,7 +14,8 @@ from bag_world import Row, bag
 from lidar.lidar_world import turns, write_bins
 from tiegraph.errors import InputError
 from tiegraph.lidar.formats import READERS
-from tiegraph.lidar.scans import Reading, Scan, open_scans
+from tiegraph.lidar.scans import Scan, open_scans
+from tiegraph.lidar.settings import LidarSettings
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
 
@@ -22,7 +23,7 @@ _XYZT = ("x", "y", "z", "intensity", "t")
 
 
 def _read(path: Path, **how: object) -> list[Scan]:
-    return list(open_scans(path, Reading(**how)).read())  # type: ignore[arg-type]
+    return list(open_scans(path, LidarSettings(**how)).read())  # type: ignore[arg-type]
 
 
 def _points(count: int = 200, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +119,7 @@ def test_kitti_layouts_and_times(tmp_path: Path) -> None:
     (folder / "times.txt").unlink()
     (tmp_path / "timestamps.txt").write_text("".join(f"2011-09-26 13:02:25.{k}00000000\n" for k in (1, 2, 3)))
     np.zeros(4, "<f4").tofile(folder / "static_map.bin")
-    recording = open_scans(tmp_path, Reading())
+    recording = open_scans(tmp_path, LidarSettings())
     assert any("static_map.bin" in n for n in recording.notes)
     np.testing.assert_allclose(np.diff([s.stamp_s for s in recording.read()]), 0.1, atol=1e-6)
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.odometry import Odometry
-from tiegraph.odometry.path import OdometryPath, path_of
+from tiegraph.odometry.odometry import Odometry, OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from worlds import corridor

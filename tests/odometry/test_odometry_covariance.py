@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from odometry.odometry_world import single, stereo, truth
 from tiegraph.geometry import transforms
+from tiegraph.odometry.cameras import Tracks
 from tiegraph.odometry.covariance import keyframe_covariances, resection_covariance, wider
-from tiegraph.odometry.follow import Tracks
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap, adjust
 

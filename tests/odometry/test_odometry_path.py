@@ -8,11 +8,10 @@ from odometry.odometry_world import FRAMES, apart, drive, images, single, stereo
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.odometry.cameras import cameras_of
-from tiegraph.odometry.follow import Tracks
+from tiegraph.odometry.cameras import Tracks, cameras_of
 from tiegraph.odometry.odometry import Odometry
-from tiegraph.odometry.resect import scaled
 from tiegraph.odometry.tuning import Tuning
+from tiegraph.odometry.worldmap import scaled
 from tiegraph.scene.rig import Rig, Sensor
 
 pytestmark = pytest.mark.slow

@@ -14,11 +14,9 @@ import pytest
 
 import recording_world as world
 from recording_world import ONE_EACH, Fix, Layout, klv, nest
-from tiegraph.scan.recording import Recording
-from tiegraph.scan.recording.gpmf import entries
-from tiegraph.scan.recording.insta360 import factory_lenses, read_trailer
-from tiegraph.scan.recording.tracks import BrokenTrack, OneVideoTrack, edits, samples, tracks
+from tiegraph.scan.recording import BrokenTrack, OneVideoTrack, Recording, edits, samples, tracks
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.telemetry import entries, factory_lenses, read_trailer
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import open_film, recordings_of
 from tiegraph.scan.videos.videotime import VideoClock, video_clock

@@ -19,8 +19,7 @@ from tiegraph.project.stages import Outcome
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.targets import Target, count_of, target_of
-from tiegraph.targets.detect import centre_of, find_targets
-from tiegraph.targets.marks import likely_family, marks_of
+from tiegraph.targets.marks import centre_of, find_targets, likely_family, marks_of
 from tiegraph.targets.tuning import Tuning
 
 TUNING = Tuning()

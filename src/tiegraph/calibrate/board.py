@@ -1,4 +1,4 @@
-"""Boards: how their words or Kalibr's file are read, where their corners are, and where an image shows them.
+"""Boards: how their words or Kalibr's file are read, where their corners are, and what the cameras must see of them.
 
 ``charuco:7x5:0.04:0.03[:DICT_5X5_1000][:legacy]``: squares across and down, side of a square and of a marker, metres,
 OpenCV's dictionary (default DICT_5X5_1000); ``legacy``: the pattern of OpenCV before 4.6 (even numbers of rows).
@@ -11,10 +11,11 @@ Kalibr prints (compared bit by bit), so its first corner is Kalibr's lower right
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
+from itertools import combinations
+from pathlib import Path, PurePosixPath
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.scene.atomic import regular
+from tiegraph.scene.graph import parts
 from tiegraph.scene.targets import CENTRE, refined
 
 CHARUCO, CHECKER, APRILGRID = "charuco", "checker", "aprilgrid"
@@ -61,30 +63,29 @@ def read_board(text: str) -> Board:
     """The board of ``--board``. Raises InputError naming what is wrong and the forms that are read."""
     kind, *words = text.split(":")
     if kind in _EXAMPLES:
-        return (_charuco if kind == CHARUCO else _checker)(text, words)
+        return (_charuco if kind == CHARUCO else _checker)(text, words, f"--board {text}")
     if Path(text).suffix.lower() in (".yaml", ".yml"):
         return _kalibr(Path(text))
     raise InputError(f"--board {text}: {_FORMS}")
 
 
-def _charuco(text: str, words: list[str]) -> Board:
+def _charuco(text: str, words: list[str], where: str) -> Board:
     legacy = words[-1:] == ["legacy"]
     words = words[: len(words) - legacy]
     if not 3 <= len(words) <= 4:
-        raise InputError(f"--board {text}: squares, side of a square and of a marker: {_EXAMPLES[CHARUCO]}")
-    where = f"--board {text}"
+        raise InputError(f"{where}: squares, side of a square and of a marker: {_EXAMPLES[CHARUCO]}")
     counts = _counts(words[0], where)
     square, marker = (_length(w, where) for w in words[1:3])
     if marker >= square:
-        raise InputError(f"--board {text}: the marker ({marker:g} m) is not smaller than its square ({square:g} m)")
+        raise InputError(f"{where}: the marker ({marker:g} m) is not smaller than its square ({square:g} m)")
     dictionary = (words[3:] or ["DICT_5X5_1000"])[0].upper()
     dictionary = dictionary if dictionary.startswith("DICT_") else f"DICT_{dictionary}"
     if not hasattr(cv2.aruco, dictionary):
         known = ", ".join(n for n in dir(cv2.aruco) if n.startswith("DICT_"))
-        raise InputError(f"--board {text}: no dictionary {dictionary}; OpenCV has {known}")
-    there = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)).bytesList)
-    if counts[0] * counts[1] // 2 > there:
-        raise InputError(f"--board {text}: {counts[0] * counts[1] // 2} markers, but {dictionary} has {there}")
+        raise InputError(f"{where}: no dictionary {dictionary}; OpenCV has {known}")
+    there, markers = len(_dictionary(dictionary).bytesList), counts[0] * counts[1] // 2
+    if markers > there:
+        raise InputError(f"{where}: {markers} markers, but {dictionary} has {there}")
     across, down = (n - 1 for n in counts)
     return Board(
         kind=CHARUCO, counts=counts, points=square * (_grid(across, down) + (1, 1, 0)), marker=marker / square,
@@ -92,32 +93,31 @@ def _charuco(text: str, words: list[str]) -> Board:
     )  # fmt: skip
 
 
-def _checker(text: str, words: list[str]) -> Board:
+def _checker(text: str, words: list[str], where: str) -> Board:
     if len(words) == 1:
         raise InputError(
-            f"--board {text}: the side of a square is missing, in metres: measure it over many squares. For a single "
+            f"{where}: the side of a square is missing, in metres: measure it over many squares. For a single "
             f"camera any will do ({text}:0.03), for its calibration has no lengths"
         )
     if len(words) != 2:
-        raise InputError(f"--board {text}: inner corners and side of a square: {_EXAMPLES[CHECKER]}")
-    where = f"--board {text}"
+        raise InputError(f"{where}: inner corners and side of a square: {_EXAMPLES[CHECKER]}")
     counts = _counts(words[0], where)
     return Board(CHECKER, counts, _length(words[1], where) * _grid(*counts))
 
 
 def _kalibr(path: Path) -> Board:
+    where = f"--board {path}"
     try:
         content = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"--board {path}: cannot be read as text in UTF-8 ({error})") from None
+        raise InputError(f"{where}: cannot be read as text in UTF-8 ({error})") from None
     lines = (re.match(r"\s*(\w+)\s*:\s*['\"]?([^'\"#\s]+)", line) for line in content.splitlines())
     values = {m[1]: m[2] for m in lines if m}
     kind = values.get("target_type", "")
     if kind not in ("aprilgrid", "checkerboard"):
         said = f"target_type: {kind}" if kind else "no target_type"
-        raise InputError(f"--board {path}: {said}; read are aprilgrid and checkerboard (Kalibr's calibration targets)")
+        raise InputError(f"{where}: {said}; read are aprilgrid and checkerboard (Kalibr's calibration targets)")
     names = ("tagCols", "tagRows") if kind == "aprilgrid" else ("targetCols", "targetRows")
-    where = f"--board {path}"
     counts = _counts("x".join(_value(values, n, where) for n in names), where)
     if kind == "checkerboard":
         sides = [_length(_value(values, f"{n}SpacingMeters", where), where) for n in ("col", "row")]
@@ -125,7 +125,7 @@ def _kalibr(path: Path) -> Board:
     size = _length(_value(values, "tagSize", where), where)
     spacing = _number(_value(values, "tagSpacing", where), where)
     if not 0 < spacing <= 1:
-        raise InputError(f"--board {path}: tagSpacing = {spacing:g}: the gap between tags over their side, 0 to 1")
+        raise InputError(f"{where}: tagSpacing = {spacing:g}: the gap between tags over their side, 0 to 1")
     corners = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 0], [1, 1, 0]])  # OpenCV's order, of a tag that is turned
     tags = (1 + spacing) * _grid(*counts)
     return Board(APRILGRID, counts, size * (tags[:, None] + corners).reshape(-1, 3), dictionary="DICT_APRILTAG_36h11")
@@ -184,9 +184,8 @@ def detect(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
 
 
 def _find_charuco(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
-    xy, numbers, _, _ = _charuco_detector(board.counts, board.marker, board.dictionary, board.legacy).detectBoard(
-        pixels
-    )
+    detector = _charuco_detector(board.counts, board.marker, board.dictionary, board.legacy)
+    xy, numbers, _, _ = detector.detectBoard(pixels)
     if numbers is None or xy is None or len(numbers) < tuning.least_corners:
         return np.zeros(0, int), np.zeros((0, 2))
     xy = xy.reshape(-1, 2)
@@ -243,3 +242,130 @@ def _tag_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = 2
     return cv2.aruco.ArucoDetector(_dictionary(dictionary), parameters)
+
+
+LEAST_VIEWS = 3  # of a camera: two of a plane fix a focal length and no more
+_LEAST_JOINT = 2  # instants at which two cameras see the board together: a single one may be wrong unnoticed
+
+
+# --- what the cameras see of a board ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """A camera by the folder of its images: name, folder ("" = all images), COLMAP's model, width and height in
+    pixels, number of images."""
+
+    name: str
+    folder: str
+    model: str
+    size: tuple[int, int]
+    count: int
+
+
+@dataclass(frozen=True)
+class View:
+    """What a camera sees of the board at an instant (numbers of both): ``corners`` (K,) of the board at ``xy`` (K, 2),
+    COLMAP's pixels."""
+
+    camera: int
+    instant: int
+    name: str
+    corners: np.ndarray
+    xy: np.ndarray
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All views of a calibration."""
+
+    board: Board
+    cameras: tuple[CameraImages, ...]
+    views: tuple[View, ...]
+
+    def of_camera(self, camera: int) -> "Observations":
+        """One camera and its views, in which it is the first."""
+        views = tuple(replace(v, camera=0) for v in self.views if v.camera == camera)
+        return Observations(self.board, self.cameras[camera : camera + 1], views)
+
+    def instants(self) -> list[int]:
+        """The instants at which any camera sees the board."""
+        return sorted({v.instant for v in self.views})
+
+    def corners(self) -> np.ndarray:
+        """(K,) numbers of the corners that any view has, ascending."""
+        return np.unique(np.concatenate([view.corners for view in self.views]))
+
+    def among(self, instants: Collection[int]) -> "Observations":
+        """The views of these instants."""
+        return replace(self, views=tuple(v for v in self.views if v.instant in instants))
+
+    def without(self, views: Collection[str]) -> "Observations":
+        """All views but those of these names."""
+        return replace(self, views=tuple(v for v in self.views if v.name not in views))
+
+
+def check_views(seen: Observations) -> None:
+    """Raise InputError for a camera that sees the board in no image or too few, for cameras that number its corners
+    differently, and for cameras that nothing ties together."""
+    for number, camera in enumerate(seen.cameras):
+        views = len(seen.of_camera(number).views)
+        if views == 0:
+            raise InputError(
+                f"{camera.name}: the board was found in none of its {camera.count} images: does --board say what was "
+                f"printed ({' x '.join(map(str, seen.board.counts))} {seen.board.counted}), and is the board sharp and "
+                "whole in them?"
+            )
+        if views < LEAST_VIEWS:
+            raise InputError(
+                f"{camera.name}: the board was found in {views} of its {camera.count} images, and {LEAST_VIEWS} "
+                "are the least: take 20 or more, near and far, tilted, in every part of the image"
+            )
+    if len(seen.cameras) > 1 and seen.board.turnable:
+        raise InputError(
+            f"a checkerboard of {seen.board.counts[0]} x {seen.board.counts[1]} inner corners looks the same after "
+            "half a turn, so cameras may number its corners differently: take one with an odd and an even count, or "
+            "ChArUco"
+        )
+    a, b = np.nonzero(joint_instants(seen) >= _LEAST_JOINT)
+    part = parts(a, b, len(seen.cameras))
+    if part.any():
+        named = " | ".join(", ".join(c.name for c, own in zip(seen.cameras, part == k) if own) for k in np.unique(part))
+        raise InputError(
+            f"nothing ties these cameras together: {named}. At {_LEAST_JOINT} instants or more one of each group "
+            "must see the board together with one of another (a part of it will do with ChArUco and AprilGrid). Are "
+            "images of one instant called alike?"
+        )
+
+
+def check_count(folder: Path, images: int) -> None:
+    """Raise InputError for fewer images than views that a camera needs."""
+    if 0 < images < LEAST_VIEWS:
+        raise InputError(
+            f"{folder}: {images} image{'s' * (images > 1)}, and a camera needs the board in {LEAST_VIEWS} at "
+            "least: take 20 or more, near and far, tilted, in every part of the image"
+        )
+
+
+def check_one_camera(names: Sequence[str]) -> None:
+    """Raise InputError for images of one folder that are numbered like those of two cameras: left01 and right01."""
+    numbers: dict[str, dict[str, set[int]]] = {}  # by folder and beginning of the name
+    for name in map(PurePosixPath, names):
+        if found := re.fullmatch(r"(.*?)(\d+)", name.stem):
+            numbers.setdefault(str(name.parent), {}).setdefault(found[1], set()).add(int(found[2]))
+    for begun in numbers.values():
+        for (a, one), (b, two) in combinations(sorted(begun.items()), 2):
+            if len(one & two) >= LEAST_VIEWS:
+                raise InputError(
+                    f"images in one folder: {len(one & two)} numbers stand behind {a!r} and behind {b!r}. If two "
+                    f"cameras took them, give each a folder of its own ({a.strip('_- ')}/, {b.strip('_- ')}/); if one "
+                    "did, say --layout sequence"
+                )
+
+
+def joint_instants(seen: Observations) -> np.ndarray:
+    """(C, C) number of instants at which two cameras see the board together."""
+    there = np.zeros((len(seen.cameras), max(seen.instants(), default=0) + 1), int)
+    for view in seen.views:
+        there[view.camera, view.instant] = 1
+    return there @ there.T

@@ -1,6 +1,7 @@
 """One scan a file: KITTI's .bin, PCD, PLY, NPZ, LAS and LAZ."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,18 +96,15 @@ def _read_las(path: Path, columns: Sequence[str]) -> Points:
     return Points(xyz, time if time is not None and len(time) and np.ptp(time) > 0 else None)
 
 
-class _reading:
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
     """What libraries raise of a damaged file, as an InputError."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception) and not isinstance(error, (InputError, EngineMissing)):
-            raise InputError(f"{self.path}: cannot be read as a scan: {error or type(error).__name__}") from error
+    try:
+        yield
+    except (InputError, EngineMissing):
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: cannot be read as a scan: {error or type(error).__name__}") from error
 
 
 READERS: dict[str, Callable[[Path, Sequence[str]], Points]] = {

@@ -230,30 +230,27 @@ class _Problem:
         for clock in clocks:
             if self._pairs(float(clock), all_kept):
                 values = self._start(float(clock))
-                cost = np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean()
-                starts.append((float(cost), float(clock), values))
-        if not starts:
-            raise InputError(self._apart())
+                starts.append((self._cost(values), float(clock), values))
         refined = []
         for _, clock, values in sorted(starts, key=lambda s: s[:2])[:3]:
             self._pairs(clock, all_kept)
             values = self.refine(values)
-            cost = np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean()
+            cost = self._cost(values)
             if self._pairs(float(values[_CLOCK]), all_kept):
-                refined.append((float(cost), float(clock), values))
+                refined.append((cost, clock, values))
         if not refined:
-            raise InputError(self._apart())
+            start, end = self.rig.time_s.min(), self.rig.time_s.max()
+            raise InputError(
+                f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {self.path.start:.3f} to "
+                f"{self.path.end:.3f} s, have less than {_LEAST_FRAMES} frames in common, with an offset of up "
+                f"to {_SEARCH_S:g} s: give what is to be added to the frames' times by --clock-s"
+            )
         best = min(refined, key=lambda s: s[:2])
         self._pairs(float(best[2][_CLOCK]), all_kept)
         return best[2]
 
-    def _apart(self) -> str:
-        start, end = self.rig.time_s.min(), self.rig.time_s.max()
-        return (
-            f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {self.path.start:.3f} to "
-            f"{self.path.end:.3f} s, have less than {_LEAST_FRAMES} frames in common, with an offset of up "
-            f"to {_SEARCH_S:g} s: give what is to be added to the frames' times by --clock-s"
-        )
+    def _cost(self, values: np.ndarray) -> float:
+        return float(np.log1p((self._weighted(values) / CAUCHY_SIGMAS) ** 2).mean())
 
     def _start(self, clock_s: float) -> np.ndarray:
         """Turn by the directions of turns and steps on both sides, then lever arm and scale by least squares."""

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
-from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points, points_of
+from tiegraph.lidar.formats import READERS, Points, points_of
+from tiegraph.lidar.settings import LidarSettings
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.cells import in_seconds, parse_time
@@ -45,16 +46,6 @@ class Scan:
 
 
 @dataclass(frozen=True)
-class Reading:
-    """How scans are read: columns of a .bin, files of times and poses, scans a second."""
-
-    columns: tuple[str, ...] = BIN_COLUMNS
-    times: Path | None = None
-    rate_hz: float | None = None
-    poses: Path | None = None
-
-
-@dataclass(frozen=True)
 class Recording:
     """Scans that can be gone through any number of times; ``given`` (T, 4, 4): where the files' poses have the scanner,
     None if they have none."""
@@ -65,8 +56,8 @@ class Recording:
     notes: tuple[str, ...] = ()
 
 
-def open_scans(path: Path, how: Reading) -> Recording:
-    """A recording; only lists of files, times and poses are read.
+def open_scans(path: Path, how: LidarSettings) -> Recording:
+    """A recording, read as the settings say; only lists of files, times and poses are read.
 
     Raises InputError for a path without scans, for times or poses that do not fit the scans, and, while it is gone
     through, for scans that are damaged, empty or out of order.
@@ -82,7 +73,7 @@ def open_scans(path: Path, how: Reading) -> Recording:
     return _files(path, how)
 
 
-def _stream(path: Path, how: Reading, read: Callable[[Path], Iterator[tuple[float, Points]]]) -> Recording:
+def _stream(path: Path, how: LidarSettings, read: Callable[[Path], Iterator[tuple[float, Points]]]) -> Recording:
     if how.poses is not None or how.times is not None or how.rate_hz is not None:
         raise InputError(f"{path}: its scans have times of their own: leave --times, --rate-hz and --poses out")
 
@@ -93,7 +84,7 @@ def _stream(path: Path, how: Reading, read: Callable[[Path], Iterator[tuple[floa
     return Recording(scans)
 
 
-def _files(folder: Path, how: Reading) -> Recording:
+def _files(folder: Path, how: LidarSettings) -> Recording:
     files, notes = scan_files(folder)
     if len(files) < 2:
         raise InputError(f"{files[0]}: the only scan; a trajectory needs at least 2")
@@ -153,13 +144,7 @@ def _scan(name: str, stamp_s: float | None, points: Points) -> Scan:
         )
     if stamp_s is None:
         raise InputError(f"{name}: nothing says when it was taken: give --times FILE, or --rate-hz")
-    return Scan(
-        name=name,
-        stamp_s=float(stamp_s),
-        xyz_m=points.xyz_m[good],
-        offset_s=offset,
-        lost=int(np.sum(~good)),
-    )
+    return Scan(name, float(stamp_s), xyz_m=points.xyz_m[good], offset_s=offset, lost=int(np.sum(~good)))
 
 
 def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None) -> tuple[np.ndarray, float]:

@@ -33,19 +33,19 @@ TIMES = ("Mask processing", "SfM", "MVS", "Overall processing")
 
 def survey_table(columns: list[Column]) -> dict[str, Any]:
     """{"columns", "rows"}: the rows as paper 001 names them."""
-    rows: list[list[Any]] = []
-    for time in TIMES:
-        rows.append([f"{time} [s]", *((c.seconds or {}).get(time, _NAN) for c in columns)])
-    rows.append(["The number of input images", *(c.images for c in columns)])
-    rows.append(["The number of used images", *(c.used for c in columns)])
-    rows.append(["The number of points after MVS", *(c.points for c in columns)])
-    rows.append(["RMSE of positions against the LiDAR [m]", *(c.rmse_m for c in columns)])
-    rows.append(["frames with a pose of the LiDAR", *(c.frames for c in columns)])
-    rows.append(["scale against the LiDAR", *(c.scale for c in columns)])
-    rows.append(["cloud along the LiDAR's surfaces (M3C2), median [m]", *(c.surface_m[0] for c in columns)])
-    rows.append(["cloud along the LiDAR's surfaces (M3C2), spread [m]", *(c.surface_m[1] for c in columns)])
-    rows.append(["cloud to the LiDAR's nearest point, median [m]", *(c.cloud_m[0] for c in columns)])
-    rows.append(["cloud to the LiDAR's nearest point, 90 % [m]", *(c.cloud_m[1] for c in columns)])
+    rows: list[list[Any]] = [
+        *([f"{time} [s]", *((c.seconds or {}).get(time, _NAN) for c in columns)] for time in TIMES),
+        ["The number of input images", *(c.images for c in columns)],
+        ["The number of used images", *(c.used for c in columns)],
+        ["The number of points after MVS", *(c.points for c in columns)],
+        ["RMSE of positions against the LiDAR [m]", *(c.rmse_m for c in columns)],
+        ["frames with a pose of the LiDAR", *(c.frames for c in columns)],
+        ["scale against the LiDAR", *(c.scale for c in columns)],
+        ["cloud along the LiDAR's surfaces (M3C2), median [m]", *(c.surface_m[0] for c in columns)],
+        ["cloud along the LiDAR's surfaces (M3C2), spread [m]", *(c.surface_m[1] for c in columns)],
+        ["cloud to the LiDAR's nearest point, median [m]", *(c.cloud_m[0] for c in columns)],
+        ["cloud to the LiDAR's nearest point, 90 % [m]", *(c.cloud_m[1] for c in columns)],
+    ]
     known = [r for r in rows if any(np.isfinite(v) for v in r[1:])]
     return {"columns": ["", *(c.name for c in columns)], "rows": known}
 

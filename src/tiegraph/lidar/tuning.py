@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class AdjustTuning(Section):
-    """The adjustment of scans by planes (`adjust.py`). Measured on `canal` and `pandaset` (docs/lidar.md)."""
+    """The adjustment of scans by planes (`odometry.py`). Measured on `canal` and `pandaset` (docs/lidar.md)."""
 
     window: int = Field(40, ge=4)
     """Scans adjusted together; the first half of a later window is held: 4 s at 10 Hz."""

@@ -1,12 +1,12 @@
 """Visual odometry: the path of a stereo camera, a rig or a single camera from its images alone, frame after frame.
 
 The method, in the order of ``odometry``: corners (Shi and Tomasi) are followed from image to image by Lucas and Kanade,
-from where the predicted pose expects them, and back (``follow``). Points of known place give the frame's pose, for one
-camera or many, with a common view or none, by pycolmap's generalised absolute pose (``resect``). A frame in which the
-points have moved far enough is a keyframe (``worldmap``): the other cameras of the rig are asked for what they see of
+from where the predicted pose expects them, and back (``cameras``). Points of known place give the frame's pose, for one
+camera or many, with a common view or none, by pycolmap's generalised absolute pose (``worldmap``). A frame in which the
+points have moved far enough is a keyframe: the other cameras of the rig are asked for what they see of
 the corners at the same instant, new corners fill the image, points get places, and the last keyframes are adjusted
-together by pycolmap's bundle adjustment with cameras and rig held (``worldmap``). A segment begins at one instant where
-cameras see the same, else from two frames by their relative orientation (``resect``): of a single camera, whose path
+together by pycolmap's bundle adjustment with cameras and rig held. A segment begins at one instant where
+cameras see the same, else from two frames by their relative orientation: of a single camera, whose path
 has no scale, or of the whole rig; of one that shares the edges of its views, what is seen there tells the length.
 
 **Lost and found** (``recall``): a frame that cannot be followed is looked for in what earlier keyframes saw; after

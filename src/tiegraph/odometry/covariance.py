@@ -17,8 +17,7 @@ from scipy.sparse.linalg import splu
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.geometry.transforms import skew
-from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.follow import Tracks
+from tiegraph.odometry.cameras import Cameras, Tracks
 from tiegraph.odometry.worldmap import Observations, WorldMap
 
 _BLOCK = 50  # keyframes solved for at once: bounds memory
@@ -32,9 +31,9 @@ def keyframe_covariances(world: WorldMap, numbers: Sequence[int], loss_px: float
     seen = seen.where(np.isfinite(world.errors_px(seen)))
     if len(numbers) < 2 or not len(seen.point):
         return np.full((len(numbers), 6, 6), np.nan)
-    by_pose, by_point, residual = _jacobians(world, numbers, seen)
-    weight = np.repeat(1 / (1 + np.sum(residual.reshape(-1, 2) ** 2, axis=1) / loss_px**2), 2)
     points, row = np.unique(seen.point, return_inverse=True)
+    by_pose, by_point, residual = _jacobians(world, numbers, seen, row)
+    weight = np.repeat(1 / (1 + np.sum(residual.reshape(-1, 2) ** 2, axis=1) / loss_px**2), 2)
     reduced, gradient = _eliminated(by_pose, by_point, weight, residual, row, len(points))
     rows, unknowns = len(residual), 6 * (len(numbers) - 1) + 3 * len(points)
     spread = robust_sigma(residual)
@@ -103,9 +102,9 @@ def _derivatives(
 
 
 def _jacobians(
-    world: WorldMap, numbers: Sequence[int], seen: Observations
+    world: WorldMap, numbers: Sequence[int], seen: Observations, point: np.ndarray
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix, np.ndarray]:
-    """Derivatives by keyframes (2M, 6K) and points (2M, 3P), residuals (2M,)."""
+    """Derivatives by keyframes (2M, 6K) and points (2M, 3P), their rows (M,), residuals (2M,)."""
     count = len(seen.point)
     poses, places, residual = np.empty((count, 2, 6)), np.empty((count, 2, 3)), np.empty((count, 2))
     for number in numbers:
@@ -115,8 +114,7 @@ def _jacobians(
             world.cameras, pose, seen.camera[at], seen.xy[at], world.xyz[seen.point[at]]
         )
     column = np.searchsorted(np.asarray(numbers), seen.keyframe)
-    points, row = np.unique(seen.point, return_inverse=True)
-    return _blocks(poses, column, len(numbers)), _blocks(places, row, len(points)), residual.ravel()
+    return _blocks(poses, column, len(numbers)), _blocks(places, point, int(point.max()) + 1), residual.ravel()
 
 
 def _blocks(values: np.ndarray, column: np.ndarray, count: int) -> sparse.csr_matrix:

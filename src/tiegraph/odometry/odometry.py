@@ -1,17 +1,17 @@
-"""Frame after frame: corners are followed, the pose is that of known points, keyframes hold the map up."""
+"""Frame after frame: corners are followed, the pose is that of known points, keyframes hold the map up; and the path
+that comes out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.odometry.cameras import FAR_BASELINES, Cameras
-from tiegraph.odometry.follow import Images, Tracks, corners, followed, in_partners
+from tiegraph.odometry.cameras import FAR_BASELINES, Cameras, Images, Tracks, corners, followed, in_partners
+from tiegraph.odometry.covariance import keyframe_covariances, resection_covariance
 from tiegraph.odometry.recall import Read, Recall, Recalled, scale_to, thumbnails
-from tiegraph.odometry.resect import errors_px, moved_share, relative_pose, resect, scaled
-from tiegraph.odometry.tuning import Tuning
-from tiegraph.odometry.worldmap import Keyframe, WorldMap, adjust
+from tiegraph.odometry.tuning import MapTuning, Tuning
+from tiegraph.odometry.worldmap import Keyframe, WorldMap, adjust, errors_px, moved_share, relative_pose, resect, scaled
 
 _LEAST_POINTS = 30  # with a place, from which a segment is begun
 _LONG = 60  # iterations of Ceres where the start is not the pose that was found a moment ago
@@ -46,7 +46,6 @@ class Odometry:
         self.cameras, self.world, self._tuning = cameras, WorldMap(cameras), tuning
         self.partners = cameras.partners()
         self.posed: dict[int, Posed] = {}
-        self.said: list[str] = []
         self.segment = 0
         self.loops = 0
         self._recall = Recall(self.world, read, tuning.recall, tuning.pose)
@@ -190,11 +189,8 @@ class Odometry:
         adjust(self.world, window, held, tuning, tuning.loss_px, iterations=8)
         pose = self.world.keyframes[number].rig_from_world
         placed = self._placed(tracks)
-        off = errors_px(
-            self.cameras, pose, tracks.camera[placed], tracks.xy[placed], self.world.xyz[tracks.point[placed]]
-        )
-        bad = np.zeros(len(tracks), bool)
-        bad[placed] = off > tuning.outlier_px
+        off = errors_px(self.cameras, pose, tracks.camera, tracks.xy, self.world.xyz[tracks.point])
+        bad = placed & (off > tuning.outlier_px)
         self._before = _Before(images, tracks.where(~bad), pose)
         self._hang(frame, number, pose, tracks.where(placed & ~bad))
         self._look_back(images, number)
@@ -249,26 +245,23 @@ class Odometry:
         scale = 1.0 if self.metric else scale_to(found, self.world, own, last.rig_from_world)
         if not np.isfinite(scale):
             return False
-        before = last.rig_from_world.copy()
-        before[:3, 3] *= scale
-        old_from_new = transforms.invert(found.rig_from_world) @ before
+
+        def stretched(pose: np.ndarray) -> np.ndarray:
+            return transforms.rigid(pose[:3, :3], scale * pose[:3, 3])
+
+        old_from_new = transforms.invert(found.rig_from_world) @ stretched(last.rig_from_world)
         mine = [k for k, frame in enumerate(self.world.keyframes) if frame.segment == last.segment]
         points = np.unique(self.world.observations(mine).point)
         self.world.xyz[points] = transforms.apply(old_from_new, scale * self.world.xyz[points])
         for k in mine:
-            pose = self.world.keyframes[k].rig_from_world.copy()
-            pose[:3, 3] *= scale
-            moved = pose @ transforms.invert(old_from_new)
+            moved = stretched(self.world.keyframes[k].rig_from_world) @ transforms.invert(old_from_new)
             self.world.keyframes[k] = replace(self.world.keyframes[k], rig_from_world=moved, segment=segment)
         for frame, posed in self.posed.items():
             if posed.keyframe in set(mine):
-                step = posed.rig_from_keyframe.copy()
-                step[:3, 3] *= scale
-                self.posed[frame] = replace(posed, rig_from_keyframe=step)
+                self.posed[frame] = replace(posed, rig_from_keyframe=stretched(posed.rig_from_keyframe))
         assert self._before is not None
         self._before = replace(self._before, pose=self.world.keyframes[number].rig_from_world)
-        self._velocity = self._velocity.copy()
-        self._velocity[:3, 3] *= scale
+        self._velocity = stretched(self._velocity)
         self.segment = segment
         self.loops += 1
         return True
@@ -347,3 +340,61 @@ class Odometry:
 def _part(motion: np.ndarray, share: float) -> np.ndarray:
     """A share of a motion (4, 4)."""
     return transforms.interpolate(np.array([0.0, 1.0]), np.stack([np.eye(4), motion]), np.array([share]))[0]
+
+
+@dataclass(frozen=True)
+class OdometryPath:
+    """F frames in their order: world_from_rig (F, 4, 4), NaN = no pose; segment (F,), -1 = none, else 0, 1, ... in
+    order of their first frames, each in a world of its own; keyframe (F,) bool; covariance (F, 6, 6) of position (units
+    of the path) and turn (rad), both along the axes of the world, zero of the first; ``metric``: lengths are metres.
+
+    ``loops``: known places that were seen again and tied (loops, joined segments).
+    """
+
+    world_from_rig: np.ndarray
+    segment: np.ndarray
+    keyframe: np.ndarray
+    covariance: np.ndarray
+    metric: bool
+    loops: int
+
+    def main(self) -> int:
+        """The segment with the most frames; -1 if there is none."""
+        there = self.segment[self.segment >= 0]
+        return int(np.argmax(np.bincount(there))) if len(there) else -1
+
+    def sigmas(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the position (F, 3), units of the path, and of the turn (F, 3), degrees; NaN = no pose."""
+        sigma = np.sqrt(np.einsum("kii->ki", self.covariance))
+        return sigma[:, :3], np.degrees(sigma[:, 3:])
+
+
+def path_of(odometry: Odometry, frames: Sequence[int], tuning: MapTuning) -> OdometryPath:
+    """The path of frames that were added to an odometry, which is finished."""
+    world, count = odometry.world, len(frames)
+    poses, covariance = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
+    segment, keyframe = np.full(count, -1), np.zeros(count, bool)
+    of_keyframe = np.full((len(world.keyframes), 6, 6), np.nan)
+    for number in {k.segment for k in world.keyframes}:
+        own = [n for n, k in enumerate(world.keyframes) if k.segment == number]
+        of_keyframe[own] = keyframe_covariances(world, own, tuning.loss_px, odometry.metric)
+    for row, frame in enumerate(frames):
+        posed = odometry.posed.get(frame)
+        if posed is None:
+            continue
+        at = world.keyframes[posed.keyframe]
+        pose = posed.rig_from_keyframe @ at.rig_from_world
+        poses[row], segment[row], keyframe[row] = transforms.invert(pose), at.segment, at.frame == frame
+        step = np.eye(6)  # the frame hangs on its keyframe rigidly: a turn of the one moves the other
+        step[:3, 3:] = -transforms.skew(transforms.centre(pose) - transforms.centre(at.rig_from_world))
+        carried = step @ of_keyframe[posed.keyframe] @ step.T
+        if at.frame != frame:
+            seen = posed.seen.where(~np.isnan(world.xyz[posed.seen.point, 0]))
+            carried = carried + resection_covariance(world.cameras, pose, seen, world.xyz[seen.point], tuning.loss_px)
+        covariance[row] = tuning.shared**2 * carried
+    order = {old: new for new, old in enumerate(dict.fromkeys(segment[segment >= 0].tolist()))}
+    named = np.array([order.get(s, -1) for s in segment.tolist()], int)
+    return OdometryPath(
+        world_from_rig=poses, segment=named, keyframe=keyframe, covariance=covariance,
+        metric=odometry.metric, loops=odometry.loops,
+    )  # fmt: skip

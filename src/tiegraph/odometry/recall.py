@@ -11,11 +11,10 @@ import cv2
 import numpy as np
 
 from tiegraph.geometry import transforms
+from tiegraph.odometry.cameras import CORNER_PX, Images, Tracks
 from tiegraph.odometry.covariance import resection_covariance
-from tiegraph.odometry.follow import CORNER_PX, Images, Tracks
-from tiegraph.odometry.resect import Resection, resect
 from tiegraph.odometry.tuning import PoseTuning, RecallTuning
-from tiegraph.odometry.worldmap import Keyframe, WorldMap
+from tiegraph.odometry.worldmap import Keyframe, Resection, WorldMap, resect
 
 Read = Callable[[int, int], "np.ndarray | None"]
 """The grey image (H, W) of a frame and camera, None if it cannot be read."""

@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class PoseTuning(Section):
-    """The pose of a frame by points that are known (`resect.py`)."""
+    """The pose of a frame by points that are known (`worldmap.py`)."""
 
     first_px: float = Field(25.0, gt=0)
     """Points that are off by more from where the predicted pose sees them do not count in the first refinement."""
@@ -17,7 +17,7 @@ class PoseTuning(Section):
 
 
 class MapTuning(Section):
-    """Keyframes and points (`worldmap.py`, `adjust.py`)."""
+    """Keyframes and points (`worldmap.py`)."""
 
     loss_px: float = Field(1.0, gt=0)
     """Scale of the Cauchy loss."""

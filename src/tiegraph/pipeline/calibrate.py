@@ -14,15 +14,26 @@ import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
-from tiegraph.calibrate.board import Board, Corners, detect, read_board
-from tiegraph.calibrate.difference import Calibration, Difference, differences
+from tiegraph.calibrate.adjust import Adjusted, adjust_robustly, start
+from tiegraph.calibrate.board import (
+    Board,
+    CameraImages,
+    Corners,
+    Observations,
+    View,
+    check_count,
+    check_one_camera,
+    check_views,
+    detect,
+    read_board,
+)
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
-from tiegraph.calibrate.observations import CameraImages, Observations, View, check_count, check_one_camera, check_views
 from tiegraph.calibrate.settings import CalibrateSettings
-from tiegraph.calibrate.start import start
 from tiegraph.calibrate.summary import (
+    Calibration,
+    Difference,
     correlation_csv,
+    differences,
     kalibr_yaml,
     lengths,
     opencv_yaml,
@@ -37,9 +48,9 @@ from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import write_atomic
-from tiegraph.scan.assign import Report, usable_images
+from tiegraph.scan.assign import match_frames
 from tiegraph.scan.folders import guess_layout
-from tiegraph.scan.frames import match_frames
+from tiegraph.scan.prepare import Report, usable_images
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file

@@ -26,7 +26,7 @@ from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
-from tiegraph.scan.sharedfiles import PRESET
+from tiegraph.scan.views import PRESET
 from tiegraph.scene.bags import is_bag, source_of
 from tiegraph.scene.control import image_lookup, locate, locate_bars
 from tiegraph.scene.exif import orientation_of
@@ -37,8 +37,7 @@ from tiegraph.scene.names import found_by, on_disk
 from tiegraph.scene.pairs import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import evenly
-from tiegraph.targets.detect import Seen, find_targets
-from tiegraph.targets.marks import OTHERS, TargetMarks, likely_family, marks_of
+from tiegraph.targets.marks import OTHERS, Seen, TargetMarks, find_targets, likely_family, marks_of
 from tiegraph.targets.tuning import Tuning
 
 

@@ -19,11 +19,10 @@ from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, path_le
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.lidar.adjust import adjusted
 from tiegraph.lidar.handeye import Given, HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
-from tiegraph.lidar.odometry import MapCloud, before_pose, odometry
+from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, odometry
 from tiegraph.lidar.pointtie import tie_by_points
-from tiegraph.lidar.scans import Reading, Recording, deskew, open_scans, velocities
+from tiegraph.lidar.scans import Recording, deskew, open_scans, velocities
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
@@ -112,8 +111,7 @@ def lidar(
     must_be_empty(out, "-o")
     beside = None if settings.run is None else SurveyRun.read(settings.run, tunings.scene.registered)
     given = _given(settings)
-    how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
-    recording = open_scans(scans, how)
+    recording = open_scans(scans, settings)
     start = time.monotonic()
     path, cloud, notes = _trajectory(recording, settings, tuning, reporter)
     summary: dict[str, Any] = {

@@ -10,8 +10,7 @@ import numpy as np
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.transforms import quaternion_xyzw
 from tiegraph.odometry.cameras import Cameras, cameras_of
-from tiegraph.odometry.odometry import Odometry
-from tiegraph.odometry.path import OdometryPath, path_of
+from tiegraph.odometry.odometry import Odometry, OdometryPath, path_of
 from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run

@@ -23,8 +23,7 @@ from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudfile import read_cloud, shift_of, write_cloud
 from tiegraph.scene.posefile import read_poses, write_tum
 from tiegraph.stations.joined import Band, Joined, by_distance, join, prepared
-from tiegraph.stations.pairs import Pair
-from tiegraph.stations.station import Shot, Station, spacing_of
+from tiegraph.stations.pairs import Pair, Shot, Station, spacing_of
 from tiegraph.text import finite
 
 ENDINGS = (".ply", ".las", ".laz")

@@ -20,8 +20,8 @@ from tiegraph.network.coarse.model import with_surface
 from tiegraph.network.loose import nearest_images, supported
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.resect import resect
 from tiegraph.odometry.tuning import PoseTuning
+from tiegraph.odometry.worldmap import resect
 from tiegraph.pipeline.features import preview_of, preview_path, read_preview
 from tiegraph.pipeline.files import read_image, save_npz
 from tiegraph.pipeline.network import coarse_model

@@ -1,38 +1,39 @@
-"""Which images can be used, and the sensor and pass of each: by the rig file, a preset, or a guess."""
+"""The sensor, pass and frame of each image: by the rig file, a preset, or a guess; and which were taken together."""
 
 import difflib
-import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scan.bands import band_layout, with_rig_tags
 from tiegraph.scan.folders import (
     UP_WORDS,
     Layout,
     Order,
     Place,
+    band_layout,
     guess_layout,
     is_pattern,
     natural,
     order_of,
     place_by_folders,
     shot_stem,
+    with_rig_tags,
     words,
 )
+from tiegraph.scan.prepare import Report, Usable
+from tiegraph.scan.priors.times import time_in_name
 from tiegraph.scan.rigfiles.rigfaults import contradictions
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import Tuning
+from tiegraph.scan.tuning import FramesTuning, Tuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
-from tiegraph.scene.scene import Dropped
+from tiegraph.scene.images import Probe
 from tiegraph.text import some
 
 
@@ -58,17 +59,6 @@ class Survey:
     guessed: bool = False  # the order of a sequence: the images must confirm it
 
 
-class Report:
-    """Notes and dropped images of scan, collected over its steps."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-        self.dropped: list[Dropped] = []
-
-    def drop(self, names: Iterable[str], reason: str) -> None:
-        self.dropped += [Dropped(n, reason) for n in names]
-
-
 @dataclass(frozen=True)
 class ImageFiles:
     """Images, or the views that files are cut into: their names, probes, and the files;
@@ -77,24 +67,6 @@ class ImageFiles:
     names: Sequence[str]
     probes: Sequence[Probe]
     files: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Usable:
-    """The usable images: their numbers, names and probes; parallel."""
-
-    images: tuple[int, ...]
-    names: tuple[str, ...]
-    probes: tuple[Probe, ...]
-    video: bool = False  # pictures of videos, each a sequence however short
-
-    def layout(self, settings: ScanSettings) -> str:
-        """The layout of the settings; for videos ``video``, if the settings give none."""
-        return "video" if self.video and settings.layout == "auto" else settings.layout
-
-    def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
-        """EXIF and upright sizes."""
-        return [p.exif for p in self.probes], [p.upright_size() for p in self.probes]
 
 
 def assign(
@@ -127,12 +99,8 @@ def assign(
     else:
         spec = preset(rig, layout.folders, tuning.rig)
         report.notes.append(f"layout guessed: {layout.order.why}; rig preset {rig}: nominal axes and centres")
-    index = {s.folder: k for k, s in enumerate(spec.sensors)}
-    shots = tuple(
-        _shot(image, name, (0, index[place.folder]), place, layout.order.loose)
-        for image, name, place in zip(usable.images, usable.names, layout.places)
-        if place is not None
-    )
+    owner = {s.folder or "": (0, k) for k, s in enumerate(spec.sensors)}
+    shots = _shots(usable, layout.places, owner, layout.order.loose)
     strays = [name for name, place in zip(usable.names, layout.places) if place is None]
     report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
     if layout.order.loose or (kind == "video" and layout.folders == ("",)):
@@ -140,10 +108,17 @@ def assign(
     return Survey(specs=(spec,), shots=shots, loose=False, guessed=layout.order.guessed)
 
 
-def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bool) -> Shot:
-    rig, sensor = owner
-    sequence = "" if loose else place.sequence
-    return Shot(image=image, rig=rig, sensor=sensor, sequence=sequence, stem=shot_stem(name, place.folder))
+def _shots(
+    usable: Usable, places: Sequence[Place | None], owner: Mapping[str, tuple[int, int]], loose: bool
+) -> tuple[Shot, ...]:
+    """The images with a place; ``owner``: rig and sensor of each folder."""
+    shots = []
+    for image, name, place in zip(usable.images, usable.names, places):
+        if place is not None:
+            (rig, sensor), sequence = owner[place.folder], "" if loose else place.sequence
+            stem = shot_stem(name, place.folder)
+            shots.append(Shot(image=image, rig=rig, sensor=sensor, sequence=sequence, stem=stem))
+    return tuple(shots)
 
 
 def _guessed_rig(layout: Layout) -> RigSpec:
@@ -171,26 +146,22 @@ def _assign_by_file(
         order = order_of(usable.names, places, *usable.facts(), usable.layout(settings), tuning.folders)
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {order.why}" if order.why else ""))
     report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec, tuning.rig)]
-    shots = [
-        _shot(image, name, owner[place.folder], place, order.loose)
-        for image, name, place in zip(usable.images, usable.names, places)
-        if place is not None
-    ]
-    return Survey(specs=specs, shots=tuple(shots), loose=order.loose, guessed=order.guessed)
+    shots = _shots(usable, places, owner, order.loose)
+    return Survey(specs=specs, shots=shots, loose=order.loose, guessed=order.guessed)
 
 
 def _checked(spec: RigSpec) -> RigSpec:
-    poses = [s.body_from_sensor is not None for s in spec.sensors]
-    first = spec.sensors[0]
-    if not poses[0] and (any(poses) or spec.axes != "camera"):
+    """The rig with a pose of its first sensor. Raises InputError if that needs one in the file."""
+    first, *others = spec.sensors
+    if first.body_from_sensor is not None:
+        return spec
+    posed = any(s.body_from_sensor is not None for s in others)
+    if posed or spec.axes != "camera":
         raise InputError(
             f"{spec.file}: the first sensor, {first.name!r}, is the reference and needs an orientation, because "
-            + ("other sensors have one" if any(poses) else f"axes = {spec.axes} is not the sensor's own frame")
+            + ("other sensors have one" if posed else f"axes = {spec.axes} is not the sensor's own frame")
         )
-    if not poses[0]:
-        sensors = (replace(first, body_from_sensor=np.eye(4)), *spec.sensors[1:])
-        return replace(spec, sensors=sensors, body_is_reference=True)
-    return spec
+    return replace(spec, sensors=(replace(first, body_from_sensor=np.eye(4)), *others), body_is_reference=True)
 
 
 def _bound(spec: RigSpec, names: Sequence[str]) -> RigSpec:
@@ -210,21 +181,18 @@ def _bound(spec: RigSpec, names: Sequence[str]) -> RigSpec:
 def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | None], names: Sequence[str]) -> None:
     found = {p.folder for p in places if p is not None}
     there = sorted({p for n in names for p in PurePosixPath(n).parts[:-1]}, key=natural)
-    for spec in specs:
-        for sensor in spec.sensors:
-            if sensor.folder in found:
-                continue
-            if is_pattern(sensor.folder or ""):
-                raise InputError(
-                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image has such a "
-                    f"name; names here are like {names[0]}. Correct folder, or remove the sensor from the file"
-                )
-            near = difflib.get_close_matches(sensor.folder or "", there, n=1)
-            hint = f" Perhaps you meant {near[0]!r}?" if near else ""
+    for sensor in (s for spec in specs for s in spec.sensors if s.folder not in found):
+        if is_pattern(sensor.folder or ""):
             raise InputError(
-                f"{file}: sensor {sensor.name!r}: no usable image below a folder {sensor.folder!r}; folders here: "
-                f"{', '.join(there) or 'none'}.{hint} Correct folder, or remove the sensor from the file"
+                f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image has such a "
+                f"name; names here are like {names[0]}. Correct folder, or remove the sensor from the file"
             )
+        near = difflib.get_close_matches(sensor.folder or "", there, n=1)
+        hint = f" Perhaps you meant {near[0]!r}?" if near else ""
+        raise InputError(
+            f"{file}: sensor {sensor.name!r}: no usable image below a folder {sensor.folder!r}; folders here: "
+            f"{', '.join(there) or 'none'}.{hint} Correct folder, or remove the sensor from the file"
+        )
 
 
 def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: Report, *, loose: bool) -> Survey:
@@ -253,129 +221,109 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
     return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), loose)
 
 
-def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
-    """Probes without EXIF focal lengths that include a digital zoom: where images that differ only in the zoom have one
-    focal length, EXIF ignores it."""
-    keys = [str((e.make, e.model, e.lens, e.focal_mm, e.focal_px)) for e in (p.exif for p in probes)]
-    kinds: dict[str, set[float]] = {}
-    for key, probe in zip(keys, probes):
-        kinds.setdefault(key, set()).add(probe.exif.zoom)
-    return [
-        p if len(kinds[key]) == 1 else replace(p, exif=replace(p.exif, focal_px=p.exif.focal_px * p.exif.zoom))
-        for key, p in zip(keys, probes)
-    ]
-
-
 def _millimetres(exif: Exif) -> str:
     zoom = f" zoom {exif.zoom:g}" if exif.zoom > 1 else ""
     return f"{exif.focal_mm:.1f}mm{zoom}" if np.isfinite(exif.focal_mm) else ""
 
 
-def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
-    """The images that can be read, each photograph once; the report gets the others. InputError with fewer than two."""
-    first: dict[str, str] = {}
-    usable, repeated, masks = [], [], masks_among(names)
-    if masks:
-        report.notes.append(
-            f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: not used as images "
-            "(--masks.folder with this folder uses them)"
-        )
-    twins = _twins(names, probes)
-    for k, (name, probe) in enumerate(zip(names, probes)):
-        if name in masks:
-            report.drop([name], f"a mask of {masks[name]} by its name")
-        elif k in twins:
-            report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
-        elif probe.reason:
-            report.drop([name], probe.reason)
-        elif (same := f"{probe.digest} {probe.exif.time_s}") in first:  # black frames of two instants are two
-            report.drop([name], f"the same photograph as {first[same]}")
-            repeated.append((name, first[same]))
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
+    """The survey with the frame of each image; second images of a frame are dropped in the report."""
+    groups: dict[tuple[int, str], list[Shot]] = {}
+    for shot in survey.shots:
+        groups.setdefault((shot.rig, shot.sequence), []).append(shot)
+    out: list[Shot] = []
+    for (_, sequence), shots in groups.items():
+        if survey.loose:
+            out += [replace(s, key=files[s.image]) for s in shots]
+            continue
+        sensors = sorted({s.sensor for s in shots})
+        stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
+        keys, by = match_frames(stems, how, tuning)
+        _say_frames(sequence, by, stems, how, report)
+        for sensor in sensors:
+            mine = [s for s in shots if s.sensor == sensor]
+            out += _without_twins([replace(s, key=key) for s, key in zip(mine, keys[sensor])], files, report)
+    return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
+
+
+def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
+    if len(stems) < 2:
+        return
+    counts = sorted({len(s) for s in stems.values()})
+    if how == "number" and asked == "auto":
+        report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
+    if how == "time":
+        report.notes.append(f"pass {sequence}: images of one frame found by the times in their names")
+    if how == "order":
+        text = f"pass {sequence}: file names do not show which images belong together; taken in the order of names"
+        if len(counts) > 1:
+            text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
+        report.notes.append(text)
+
+
+def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> list[Shot]:
+    first: dict[str, Shot] = {}
+    for shot in shots:
+        if shot.key in first:
+            used = names[first[shot.key].image]
+            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {used} is used")
         else:
-            first[same] = name
-            usable.append(k)
-    for copy, kept in list(twins.items())[:1]:
-        both = f"of {names[kept]} and {names[copy]} the first is used"
-        report.notes.append(f"{len(twins)} photographs are here in two formats: {both}")
-    report.notes += _say_repeated(repeated, names)
-    told = Counter(d.reason for d in report.dropped if "pip install" in d.reason)
-    told.update(probes[k].said for k in usable if probes[k].said)
-    report.notes += [f"{count} images: {text}" for text, count in told.items()]
-    need_two(len(usable), report)
-    return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+            first[shot.key] = shot
+    return list(first.values())
 
 
-def masks_among(names: Sequence[str]) -> dict[str, str]:
-    """The image of each mask that lies beside it: a.jpg.png (COLMAP), a_mask.png (OpenDroneMap, Metashape, openMVG),
-    a.mask.png (openMVS), dynamic_mask_a.png (instant-ngp)."""
-    images = {str(PurePosixPath(n).with_suffix("")): n for n in names} | {n: n for n in names}
-    found: dict[str, str] = {}
-    for path in map(PurePosixPath, names):
-        of = re.fullmatch(r"(?:dynamic_mask_(.+)|(.+?)[_.]mask|(.+\.\w+))", path.stem, re.IGNORECASE)
-        image = images.get(str(path.with_name(of[1] or of[2] or of[3])), "") if of else ""
-        if image not in ("", str(path)):
-            found[str(path)] = image
-    return found
+def match_frames(
+    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning
+) -> tuple[dict[int, list[str]], str]:
+    """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number, time or order.
+
+    Auto: equal names if half of them agree; else equal last numbers in the names, which are frame numbers in the
+    papers' data (paper 000 figure 8: image0up_168035.jpg); else names that are nearly equal times; else the place in
+    the natural order of names.
+    """
+    if how in ("auto", "name"):
+        by_name = {sensor: list(s) for sensor, s in stems.items()}
+        if how == "name" or _shared(by_name) >= 0.5:
+            return by_name, "name"
+    if how in ("auto", "number"):
+        by_number = {}
+        for sensor, names in stems.items():
+            numbers = [re.findall(r"\d+", s) for s in names]
+            by_number[sensor] = [str(int(n[-1])) if n else s for n, s in zip(numbers, names)]
+        once = [[c == 1 for c in Counter(k).values()] for k in by_number.values()]
+        if how == "number" or (_shared(by_number) >= 0.5 and all(sum(c) >= tuning.unique * len(c) for c in once)):
+            return by_number, "number"
+    if how == "auto" and (by_time := _by_time(stems, tuning)) and _shared(by_time) >= 0.5:
+        return by_time, "time"
+    by_order = {}
+    for sensor, names in stems.items():
+        rank = {s: k for k, s in enumerate(sorted(set(names), key=natural))}
+        by_order[sensor] = [f"{rank[s]:06d}" for s in names]
+    return by_order, "order"
 
 
-def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
-    """Files that are a photograph in another format (raw and JPEG, HEIC and its copy), and the file that is used."""
-    found: dict[str, list[int]] = {}
-    for k, name in enumerate(names):
-        found.setdefault(PurePosixPath(name).stem.lower(), []).append(k)
-    out: dict[int, int] = {}
-    for same in (same for same in found.values() if len({_suffix(names[k]) for k in same}) > 1):
-        same.sort(key=lambda k: (bool(probes[k].reason), SUFFIXES.index(_suffix(names[k]))))
-        for n, k in enumerate(same):
-            kept = next((j for j in same[:n] if j not in out and _one_photograph(names, probes, j, k)), None)
-            if kept is not None:
-                out[k] = kept
+def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[int, list[str]]:
+    """By sensor the nearest name in time in the fullest sensor, or the image's own name if none is near."""
+    seconds = {k: np.array([time_in_name(s) for s in names]) for k, names in stems.items()}
+    fullest = max(stems, key=lambda k: len(stems[k]))
+    order = np.argsort(seconds[fullest])
+    ordered = seconds[fullest][order]
+    if any(np.isnan(t).any() for t in seconds.values()) or len(ordered) < 2:
+        return {}
+    near, out = tuning.same_step * float(np.median(np.diff(ordered))), {}
+    for sensor, own in seconds.items():
+        nearest = np.array([int(np.argmin(np.abs(ordered - t))) for t in own])
+        close = np.abs(ordered[nearest] - own) <= near
+        labels = [stems[fullest][order[n]] for n in nearest]
+        out[sensor] = [label if c else stem for label, c, stem in zip(labels, close, stems[sensor])]
     return out
 
 
-def _suffix(name: str) -> str:
-    return PurePosixPath(name).suffix.lower()
-
-
-def _one_photograph(names: Sequence[str], probes: Sequence[Probe], one: int, other: int) -> bool:
-    formats, exif = {_suffix(names[one]), _suffix(names[other])}, (probes[one].exif, probes[other].exif)
-    if len(formats) == 1 or probes[one].reason:
-        return False
-    if PurePosixPath(names[one]).parent == PurePosixPath(names[other]).parent:
-        return bool(formats & set(OF_CAMERAS)) or probes[one].upright_size() == probes[other].upright_size()
-    return len({(e.time_s, e.make, e.model) for e in exif}) == 1 and bool(exif[0].make)
-
-
-def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
-    """One note for every two folders of which one repeats files of the other: a copied pass."""
-    heads = Counter(_heads(name, original) for name, original in repeated)
-    out = []
-    for (copy, original), count in heads.items():
-        total = sum(name.startswith(f"{copy}/") for name in names) if copy else len(names)
-        said = f"{count} of {total} images"
-        if copy == original:
-            out.append(f"folder {copy or '.'}: {said} repeat others of it (identical files): left out")
-        else:
-            kind = "folder" if "/" in copy + original else "pass"
-            text = f"{kind} {copy or '.'} repeats {kind} {original or '.'}: {said} are identical files"
-            out.append(f"{text}; pairs between them have no base, so they are left out")
-    return out
-
-
-def _heads(name: str, other: str) -> tuple[str, str]:
-    """The folders of two files without their common end: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
-    mine, its = (PurePosixPath(n).parent.parts for n in (name, other))
-    alike = 0 if mine == its else len(os.path.commonprefix([mine[::-1], its[::-1]]))
-    return "/".join(mine[: len(mine) - alike]), "/".join(its[: len(its) - alike])
-
-
-def need_two(count: int, report: Report) -> None:
-    """Raise InputError, with what was left out, for fewer than two images."""
-    if count < 2:
-        reasons = dict.fromkeys(d.reason for d in report.dropped)
-        named = [f"{some(d.name for d in report.dropped if d.reason == why)}: {why}" for why in reasons]
-        why = "; ".join(named[:3])
-        raise InputError(
-            f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
-            + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")
-        )
+def _shared(keys: dict[int, list[str]]) -> float:
+    """Share of the images of the sensor with fewest partners that have a partner in the fullest one."""
+    sets = [set(k) for k in keys.values()]
+    fullest = max(sets, key=len)
+    return min(len(s & fullest) / len(s) for s in sets)

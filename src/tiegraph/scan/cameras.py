@@ -59,7 +59,6 @@ def calibrate(
     """
     camera, how = _file_camera(spec, facts, file, settings, tuning)
     crop = spec.crop_px or settings.crop_px
-    crop = (crop[0], crop[1], crop[2], crop[3])
     prepared = camera
     if any(crop):
         left, top, right, bottom = crop
@@ -81,9 +80,10 @@ def calibrate(
     if deep:
         how += "; pixels deeper than 8 bits: {:g} to {:g} become 0 to 255".format(*facts.levels)
     changed = spec.view_of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or deep
+    if not changed and spec.part is None:
+        return prepared, None, how
     source = Source(camera=camera, crop_px=crop, upright=facts.upright, levels=facts.levels, part=spec.part)
-    source = replace(source, panorama=spec.view_of_panorama)
-    return prepared, source if changed or spec.part is not None else None, how
+    return prepared, replace(source, panorama=spec.view_of_panorama), how
 
 
 def _file_camera(
@@ -138,8 +138,7 @@ def _from_params(
     scale = _scale(spec, facts, file, tuning)
     width, height = spec.size or facts.size
     camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
-    wrong = lens_fault(camera, tuning)
-    if wrong:
+    if wrong := lens_fault(camera, tuning):
         raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
@@ -189,6 +188,7 @@ WORDS = (
     f"of the images may be omitted), or a file: {PROGRAMS}, or a rig.toml with one camera"
 )
 _FILES = (".txt", ".bin", ".yaml", ".yml", ".xml", ".json", ".toml")
+_GRID = 15  # points across an image at which cameras are compared
 
 
 def read_camera(text: str, tuning: RigTuning) -> SensorSpec:
@@ -206,21 +206,17 @@ def read_camera(text: str, tuning: RigTuning) -> SensorSpec:
 def _sensor(found: FoundCamera, tuning: CameraTuning) -> SensorSpec:
     """A sensor with the camera, if a lens can have these values."""
     check_lens(found, tuning)
-    return SensorSpec("camera", model=found.model, size=found.size, params=found.params, at=found.where)
+    return SensorSpec("camera", **found.of_sensor())
 
 
 # --- which camera of the survey it is -------------------------------------------------------------------------------
 
+Sizes = Mapping[tuple[int, int], tuple[int, int]]
+"""Width and height of the images, by rig and sensor."""
 
-def with_camera(
-    survey: Survey,
-    sizes: dict[tuple[int, int], tuple[int, int]],
-    camera: str | None,
-    notes: list[str],
-    tuning: RigTuning,
-) -> Survey:
-    """The survey with the one camera whose calibration the user gave; ``sizes`` are those of the images, by rig
-    and sensor. Raises InputError."""
+
+def with_camera(survey: Survey, sizes: Sizes, camera: str | None, notes: list[str], tuning: RigTuning) -> Survey:
+    """The survey with the one camera whose calibration the user gave. Raises InputError."""
     if camera is None:
         return survey
     given = read_camera(camera, tuning)
@@ -237,9 +233,7 @@ def with_camera(
     return replace(survey, specs=tuple(specs))
 
 
-def _taker(
-    given: SensorSpec, survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], tuning: CameraTuning
-) -> tuple[int, int]:
+def _taker(given: SensorSpec, survey: Survey, sizes: Sizes, tuning: CameraTuning) -> tuple[int, int]:
     """Rig and sensor of a given camera: the only one, or that whose images have the shape of the calibration;
     photographs by other cameras keep the values of EXIF. Raises InputError if several or none fit."""
     fits = [key for key, size in sizes.items() if len(sizes) == 1 or _same_shape(given.size, size, tuning)]
@@ -270,13 +264,11 @@ def start_cameras(root: Path, by_folder: Mapping[str, FoundCamera], names: Seque
 
 
 def with_start_cameras(
-    survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], start: StartModel, notes: list[str],
-    names: Sequence[str], tuning: CameraTuning,
-) -> Survey:  # fmt: skip
+    survey: Survey, sizes: Sizes, start: StartModel, notes: list[str], names: Sequence[str], tuning: CameraTuning
+) -> Survey:
     """The survey with the cameras of a start model where the user gave none: initial values, to be adjusted.
 
-    ``sizes`` as for ``with_camera``; ``names`` of the images' files. Raises InputError for a camera of images of
-    another shape.
+    ``names`` of the images' files. Raises InputError for a camera of images of another shape.
     """
     taken_by = images_by_name(list(start.cameras), start.path, names) if start.cameras else {}
     cameras, specs, given = list(start.cameras.values()), list(survey.specs), []
@@ -300,8 +292,7 @@ def with_start_cameras(
         check_lens(found, tuning)
         found = _adjustable(found, size)
         focal = tuning.start_focal * found.params[0]
-        camera = {"model": found.model, "size": found.size, "params": found.params, "at": found.where}
-        specs = _with_sensor(specs, (r, k), **camera, camera_sigma_px=focal, started=True)
+        specs = _with_sensor(specs, (r, k), **found.of_sensor(), camera_sigma_px=focal, started=True)
     if given:
         notes.append(f"{some(given)}: the cameras given are used, not those of {start.cameras_of()}")
     return replace(survey, specs=tuple(specs))
@@ -313,10 +304,10 @@ def _adjustable(found: FoundCamera, size: tuple[int, int]) -> FoundCamera:
     The second focal length and the further terms of other models diverge in straight surveys if they are free; the
     final adjustment adds them with the priors of common lenses (``sfm.adjustment.lens``).
     """
+    if found.model not in ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"):
+        return found
     width, height = found.size or size
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
-    if found.model not in _PERSPECTIVE:
-        return found
     grid = np.array([[u, v] for u in np.linspace(0, width, _GRID) for v in np.linspace(0, height, _GRID)])
     plane = on_plane(camera, grid)
     seen = np.isfinite(plane).all(axis=1)
@@ -328,10 +319,6 @@ def _adjustable(found: FoundCamera, size: tuple[int, int]) -> FoundCamera:
     f, k1, k2, cx, cy = np.linalg.lstsq(np.hstack([terms, middle]), grid.ravel(), rcond=None)[0]
     params = tuple(float(v) for v in (f, cx, cy, k1 / f, k2 / f))
     return replace(found, model="RADIAL", params=params, size=(width, height))
-
-
-_PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-_GRID = 15  # points across an image at which cameras are compared
 
 
 def _middle(cameras: list[FoundCamera], name: str, whose: str, notes: list[str]) -> FoundCamera | None:

@@ -1,8 +1,13 @@
-"""The meaning of the folders: which part of an image's path is the camera and which the pass."""
+"""The meaning of the folders: which part of an image's path is the camera and which the pass.
+
+Cameras that write into one folder, such as the bands of a multispectral rig, mark their files by name:
+IMG_180822_133949_0205_GRE.TIF, ..._NIR.TIF (Parrot Sequoia), IMG_0001_1.tif ... _5.tif (MicaSense), ..._MS_RE.TIF
+(DJI). The part before the last mark is the shot, the mark is the camera; its folder is then written "*_GRE".
+"""
 
 import os
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -10,8 +15,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
-from tiegraph.scan.tuning import FoldersTuning
-from tiegraph.scene.exif import Exif
+from tiegraph.geometry.transforms import rigid
+from tiegraph.scan.rigfiles.rigspec import RigSpec
+from tiegraph.scan.tuning import FoldersTuning, FramesTuning
+from tiegraph.scene.exif import Exif, relative_rotation
 from tiegraph.text import some
 
 _CAMERA_WORDS = frozenset(
@@ -84,17 +91,14 @@ def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place
     for name in names:
         parts = PurePosixPath(name).parts[:-1]
         found = ((w, k) for w in wanted for k in range(len(parts) - len(w), -1, -1) if parts[k : k + len(w)] == w)
-        match = next(found, None)
-        mark = next((p for p in patterns if _fits(name, p)), None)
-        if match is not None:
-            own, at = match
+        own, at = next(found, ((), 0))
+        marked = ((p, without[0]) for p in patterns if (without := _without_mark(name, p)))
+        if own:
             places.append(("/".join(own), parts[:at] + parts[at + len(own) :]))
-        elif mark is not None:
-            places.append((mark, _besides(name, mark)))
         else:
-            places.append(("", parts) if "" in folders else None)
-    common = _common([p[1] for p in places if p is not None])
-    return [p and Place(p[0], _pass_name(p[1], common)) for p in places]
+            places.append(next(marked, ("", parts) if "" in folders else None))
+    passes = iter(_pass_names([p[1] for p in places if p is not None]))
+    return [p and Place(p[0], next(passes)) for p in places]
 
 
 def is_pattern(folder: str) -> bool:
@@ -102,41 +106,31 @@ def is_pattern(folder: str) -> bool:
     return folder.startswith("*") or folder.endswith("*")
 
 
-def _fits(name: str, pattern: str) -> bool:
-    path, begin = PurePosixPath(name), pattern.removesuffix("*")
+def _without_mark(name: str, pattern: str) -> tuple[tuple[str, ...], str] | None:
+    """Folders and stem of an image without what the pattern of its camera says; None if the pattern does not fit."""
+    path = PurePosixPath(name)
     if pattern.startswith("*"):
-        return shot_stem(name, pattern) != path.stem
-    return name.startswith(begin) or path.name.startswith(begin)
-
-
-def _besides(name: str, pattern: str) -> tuple[str, ...]:
-    """The folders of an image without those that are part of a pattern."""
+        mark = pattern[1:].lower()
+        fits = mark and path.stem.lower().endswith(mark)
+        return (path.parts[:-1], path.stem[: -len(mark)]) if fits else None
     begin = pattern.removesuffix("*")
-    if pattern.startswith("*") or not name.startswith(begin):
-        return PurePosixPath(name).parts[:-1]
-    return PurePosixPath(name[len(begin) :]).parts[1:-1]
+    stem = path.stem.removeprefix(begin.rpartition("/")[2])
+    if name.startswith(begin):
+        return PurePosixPath(name[len(begin) :]).parts[1:-1], stem
+    return (path.parts[:-1], stem) if path.name.startswith(begin) else None
 
 
 def shot_stem(name: str, folder: str) -> str:
     """Stem of an image's file name without the mark of its camera, by the pattern."""
-    stem, mark = PurePosixPath(name).stem, folder[1:].lower()
-    if folder.endswith("*"):
-        return stem.removeprefix(folder[:-1].rpartition("/")[2])
-    return stem[: -len(mark)] if is_pattern(folder) and mark and stem.lower().endswith(mark) else stem
+    marked = _without_mark(name, folder) if is_pattern(folder) else None
+    return marked[1] if marked else PurePosixPath(name).stem
 
 
-def pass_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
-    """Pass of each image by the folders it lies in."""
+def _pass_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
+    """Pass of each image: its folders without those that all share; for a single pass the last specific one."""
     common = _common(paths)
-    return [_pass_name(p, common) for p in paths]
-
-
-def _pass_name(parts: tuple[str, ...], common: int) -> str:
-    """Folders of a pass without those that all images share; for a single pass the last specific one."""
-    if parts[common:]:
-        return "/".join(parts[common:])
-    telling = [p for p in parts if not words(p) & _GENERIC_WORDS]
-    return telling[-1] if telling else LONE_PASS
+    telling = [p for p in paths[0][:common] if not words(p) & _GENERIC_WORDS] if paths else []
+    return ["/".join(p[common:]) or [LONE_PASS, *telling][-1] for p in paths]
 
 
 def _common(paths: Sequence[tuple[str, ...]]) -> int:
@@ -169,7 +163,7 @@ def guess_layout(
         folders = tuple(sorted({p.folder for p in inner}, key=natural))
         passes = len({p.sequence for p in inner})
         return Layout(tuple(places), folders, Order(False, f"{len(folders)} cameras, {passes} pass(es): {why}"))
-    lone = tuple(Place("", _pass_name(p, _common(paths))) for p in paths)
+    lone = tuple(Place("", name) for name in _pass_names(paths))
     order = order_of(names, lone, exif, sizes, kind, tuning)
     return Layout(lone, ("",), replace(order, why=f"{order.why}; {why}") if why else order)
 
@@ -191,8 +185,7 @@ def _by_camera_level(
         return [], why
     at = common + level
     rest = [p[:at] + p[at + 1 :] for p in paths]
-    shared = _common(rest)
-    return [Place(p[at], _pass_name(r, shared)) for p, r in zip(paths, rest)], why
+    return [Place(p[at], name) for p, name in zip(paths, _pass_names(rest))], why
 
 
 def _camera_level(
@@ -202,6 +195,7 @@ def _camera_level(
     cameras: tuple[int, ...],
     tuning: FoldersTuning,
 ) -> tuple[int | None, str]:
+    """Depth of the folders of cameras in paths without their common beginning, None if there are none, and why."""
     depth = min(len(t) for t in tails)
     if kind in ("sequence", "loose") or depth == 0:
         return None, ""
@@ -240,10 +234,7 @@ def _camera_level_by_structure(
     if uniform and len(levels) == 2:
         below = [{t[1] for t in tails if t[0] == f} for f in levels[0]]
         if len(below) > 1 and len(below[0]) > 1 and all(b == below[0] for b in below):
-            return (
-                1,
-                f"each of the folders {_some(levels[0])} has the folders {_some(levels[1])}",
-            )
+            return 1, f"each of the folders {_some(levels[0])} has the folders {_some(levels[1])}"
     return None, ""
 
 
@@ -254,10 +245,9 @@ def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
         both = [(a, b) for a, b in zip(first, other) if np.isfinite([a.lat_deg, b.lat_deg]).all()]
         if both:
             here = Origin(both[0][0].lat_deg, both[0][0].lon_deg, 0.0)
-            ends = [
-                world_from_geodetic(np.array([[e.lat_deg, e.lon_deg, 0.0] for e in side]), here) for side in zip(*both)
-            ]
-            metres = float(np.median(np.linalg.norm(ends[1] - ends[0], axis=1)))
+            sides = (np.array([[e.lat_deg, e.lon_deg, 0.0] for e in side]) for side in zip(*both))
+            one, two = (world_from_geodetic(side, here) for side in sides)
+            metres = float(np.median(np.linalg.norm(two - one, axis=1)))
             if metres > tuning.apart_m:
                 return f"images of equal names are {metres:.0f} m apart"
         times = np.array([[a.time_s, b.time_s] for a, b in zip(first, other)])
@@ -315,14 +305,14 @@ def order_of(
 
 
 def _regular_times(times: Sequence[float], tuning: FoldersTuning) -> bool | None:
-    if any(t != t for t in times):
+    """Whether times are in equal steps; None where some are missing or all are equal."""
+    if np.isnan(times).any() or min(times) == max(times):
         return None
-    ordered = sorted(times)
-    steps = sorted(b - a for a, b in zip(ordered, ordered[1:]))
+    steps = sorted(np.diff(sorted(times)).tolist())
     middle = steps[len(steps) // 2]
     play = max(tuning.play * middle, tuning.play_s)
     equal = sum(abs(s - middle) <= play for s in steps) / len(steps)
-    return middle > 0 and equal >= tuning.regular if ordered[-1] > ordered[0] else None
+    return middle > 0 and equal >= tuning.regular
 
 
 def _regular_numbers(names: Sequence[str], tuning: FoldersTuning) -> bool:
@@ -335,3 +325,75 @@ def _regular_numbers(names: Sequence[str], tuning: FoldersTuning) -> bool:
     steps = [step for values in by_folder.values() for step in np.diff(sorted(values)).tolist()]
     usual, count = max(Counter(steps).items(), key=lambda item: item[1], default=(0, 0))
     return usual > 0 and count / len(steps) >= tuning.regular
+
+
+_BANDS = frozenset(
+    "gre red reg nir rgb green blue blu rededge lwir thermal tir pan panchro ms_g ms_r ms_re ms_nir".split()
+)
+_MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
+_MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
+
+
+def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: FramesTuning) -> Layout | None:
+    """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
+
+    Marks are names of bands; or numbers, if the files or MicaSense's naming show that these are
+    cameras: photographs numbered in rows and columns look alike.
+    """
+    if kind != "auto":
+        return None
+    stems = [PurePosixPath(n).stem for n in names]
+    found = [_MARK.match(s) for s in stems]
+    marks = [m[2].lower() if m else "" for m in found]
+
+    def numbered(k: int) -> bool:
+        tiff = PurePosixPath(names[k]).suffix.lower() in (".tif", ".tiff")
+        return marks[k].isdigit() and (exif[k].rig.index >= 0 or bool(tiff and _MICASENSE.match(stems[k])))
+
+    cameras = {m for k, m in enumerate(marks) if m in _BANDS or numbered(k)}
+    shots: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for k, match in enumerate(found):
+        if match and marks[k] in cameras:
+            shots[str(PurePosixPath(names[k]).parent), match[1]].add(marks[k])
+    held = sum(len(s) for s in shots.values())
+    possible = max(len(names), len(shots) * len(cameras))
+    if len(cameras) < 2 or len(shots) < 2 or held < tuning.whole * possible:
+        return None
+    spelt = {m: next(f[2] for f, mark in zip(found, marks) if f and mark == m) for m in cameras}
+    passes = _pass_names([PurePosixPath(n).parts[:-1] for n in names])
+    places = tuple(Place(f"*_{spelt[m]}", p) if m in cameras else None for m, p in zip(marks, passes))
+    folders = tuple(f"*_{spelt[m]}" for m in sorted(cameras, key=natural))
+    note = f"{len(folders)} cameras that share folders, by the ends of the file names: {', '.join(folders)}"
+    return Layout(places, folders, Order(False, note))
+
+
+def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: list[str]) -> RigSpec:
+    """A guessed rig with the values of the files (XMP): which camera is the reference, their names and rotations.
+
+    The bands of one camera head have the same view direction; if the files give the differences, these are used.
+    Cameras in folders of their own get poses only if all files have them.
+    """
+    tags = [[e.rig for e, p in zip(exif, layout.places) if p and p.folder == s.folder] for s in spec.sensors]
+    angles = [Counter(t.relatives_deg for t in found if t.relatives_deg) for found in tags]
+    told = sum(map(bool, angles))
+    if len(tags) < 2 or not (told == len(tags) or all(map(is_pattern, layout.folders))):
+        return spec
+    reference = next((t.reference for found in tags for t in found if t.reference >= 0), -1)
+    order = sorted(range(len(tags)), key=lambda k: not any(t.index == reference >= 0 for t in tags[k]))
+    turns = [relative_rotation(angles[k].most_common(1)[0][0]) if angles[k] else np.eye(3) for k in order]
+    # The band name in the files, else the mark in their names.
+    named = [Counter(t.band for t in tags[k] if t.band).most_common(1) for k in order]
+    names = [found[0][0] for found in named if found]
+    if len(set(names)) < len(order):
+        marks = [spec.sensors[k].name.lstrip("*_") for k in order]
+        names = [f"band{m}" if m.isdigit() else m for m in marks]
+    how = "their view directions are nominally the same"
+    if told:
+        how = f"the rotations of {told} of them are taken from their XMP (RigRelatives)"
+        how += f", in {names[0]}" if reference >= 0 else ""
+    notes.append(f"the {len(order)} cameras are one head: {how}; their relative positions come from the images")
+    sensors = tuple(
+        replace(spec.sensors[k], name=name, body_from_sensor=rigid(turns[0].T @ turn, np.zeros(3)))
+        for k, name, turn in zip(order, names, turns)
+    )
+    return replace(spec, sensors=sensors, nominal=True)

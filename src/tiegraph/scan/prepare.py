@@ -1,10 +1,15 @@
-"""From a photograph to the image that the other stages read: a link, or rotated, cropped, undistorted, 8-bit."""
+"""Which photographs can be used, and the image of each for the other stages: a link, or rotated, cropped, undistorted,
+8-bit."""
 
 import os
+import re
 import shutil
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from copy import copy
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
@@ -16,14 +21,172 @@ from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import cached_by_file, real_path, regular, replacing
 from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
-from tiegraph.scene.exif import Taken, exif_of, orientation_in
+from tiegraph.scene.exif import Exif, Taken, exif_of, orientation_in
+from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
 from tiegraph.scene.rig import Sensor, Source
+from tiegraph.scene.scene import Dropped
 from tiegraph.scene.wideviews import frozen, render_lens_view, render_view, sphere_of
+from tiegraph.text import some
 
 # Formats that both OpenCV and COLMAP can read.
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
                   "BMP": (".bmp",)}  # fmt: skip
 KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
+
+
+class Report:
+    """Notes and dropped images of scan, collected over its steps."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+        self.dropped: list[Dropped] = []
+
+    def drop(self, names: Iterable[str], reason: str) -> None:
+        self.dropped += [Dropped(n, reason) for n in names]
+
+
+@dataclass(frozen=True)
+class Usable:
+    """The usable images: their numbers, names and probes; parallel."""
+
+    images: tuple[int, ...]
+    names: tuple[str, ...]
+    probes: tuple[Probe, ...]
+    video: bool = False  # pictures of videos, each a sequence however short
+
+    def layout(self, settings: ScanSettings) -> str:
+        """The layout of the settings; for videos ``video``, if the settings give none."""
+        return "video" if self.video and settings.layout == "auto" else settings.layout
+
+    def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
+        """EXIF and upright sizes."""
+        return [p.exif for p in self.probes], [p.upright_size() for p in self.probes]
+
+
+def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
+    """Probes without EXIF focal lengths that include a digital zoom: where images that differ only in the zoom have one
+    focal length, EXIF ignores it."""
+    keys = [str((e.make, e.model, e.lens, e.focal_mm, e.focal_px)) for e in (p.exif for p in probes)]
+    kinds: dict[str, set[float]] = {}
+    for key, probe in zip(keys, probes):
+        kinds.setdefault(key, set()).add(probe.exif.zoom)
+    return [
+        p if len(kinds[key]) == 1 else replace(p, exif=replace(p.exif, focal_px=p.exif.focal_px * p.exif.zoom))
+        for key, p in zip(keys, probes)
+    ]
+
+
+def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
+    """The images that can be read, each photograph once; the report gets the others. InputError with fewer than two."""
+    first: dict[str, str] = {}
+    usable, repeated, masks = [], [], masks_among(names)
+    if masks:
+        report.notes.append(
+            f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: not used as images "
+            "(--masks.folder with this folder uses them)"
+        )
+    twins = _twins(names, probes)
+    for k, (name, probe) in enumerate(zip(names, probes)):
+        if name in masks:
+            report.drop([name], f"a mask of {masks[name]} by its name")
+        elif k in twins:
+            report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
+        elif probe.reason:
+            report.drop([name], probe.reason)
+        elif (same := f"{probe.digest} {probe.exif.time_s}") in first:  # black frames of two instants are two
+            report.drop([name], f"the same photograph as {first[same]}")
+            repeated.append((name, first[same]))
+        else:
+            first[same] = name
+            usable.append(k)
+    for twin, kept in list(twins.items())[:1]:
+        both = f"of {names[kept]} and {names[twin]} the first is used"
+        report.notes.append(f"{len(twins)} photographs are here in two formats: {both}")
+    report.notes += _say_repeated(repeated, names)
+    told = Counter(d.reason for d in report.dropped if "pip install" in d.reason)
+    told.update(probes[k].said for k in usable if probes[k].said)
+    report.notes += [f"{count} images: {text}" for text, count in told.items()]
+    need_two(len(usable), report)
+    return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+
+
+def masks_among(names: Sequence[str]) -> dict[str, str]:
+    """The image of each mask that lies beside it: a.jpg.png (COLMAP), a_mask.png (OpenDroneMap, Metashape, openMVG),
+    a.mask.png (openMVS), dynamic_mask_a.png (instant-ngp)."""
+    images = {str(PurePosixPath(n).with_suffix("")): n for n in names} | {n: n for n in names}
+    found: dict[str, str] = {}
+    for path in map(PurePosixPath, names):
+        of = re.fullmatch(r"(?:dynamic_mask_(.+)|(.+?)[_.]mask|(.+\.\w+))", path.stem, re.IGNORECASE)
+        image = images.get(str(path.with_name(of[1] or of[2] or of[3])), "") if of else ""
+        if image not in ("", str(path)):
+            found[str(path)] = image
+    return found
+
+
+def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
+    """Files that are a photograph in another format (raw and JPEG, HEIC and its copy), and the file that is used."""
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        found.setdefault(PurePosixPath(name).stem.lower(), []).append(k)
+    out: dict[int, int] = {}
+    for same in (same for same in found.values() if len({_suffix(names[k]) for k in same}) > 1):
+        same.sort(key=lambda k: (bool(probes[k].reason), SUFFIXES.index(_suffix(names[k]))))
+        for n, k in enumerate(same):
+            kept = next((j for j in same[:n] if j not in out and _one_photograph(names, probes, j, k)), None)
+            if kept is not None:
+                out[k] = kept
+    return out
+
+
+def _suffix(name: str) -> str:
+    return PurePosixPath(name).suffix.lower()
+
+
+def _one_photograph(names: Sequence[str], probes: Sequence[Probe], one: int, other: int) -> bool:
+    formats, exif = {_suffix(names[one]), _suffix(names[other])}, (probes[one].exif, probes[other].exif)
+    if len(formats) == 1 or probes[one].reason:
+        return False
+    if PurePosixPath(names[one]).parent == PurePosixPath(names[other]).parent:
+        return bool(formats & set(OF_CAMERAS)) or probes[one].upright_size() == probes[other].upright_size()
+    return len({(e.time_s, e.make, e.model) for e in exif}) == 1 and bool(exif[0].make)
+
+
+def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
+    """One note for every two folders of which one repeats files of the other: a copied pass."""
+    heads = Counter(_heads(name, original) for name, original in repeated)
+    out = []
+    for (again, original), count in heads.items():
+        total = sum(name.startswith(f"{again}/") for name in names) if again else len(names)
+        said = f"{count} of {total} images"
+        if again == original:
+            out.append(f"folder {again or '.'}: {said} repeat others of it (identical files): left out")
+        else:
+            kind = "folder" if "/" in again + original else "pass"
+            text = f"{kind} {again or '.'} repeats {kind} {original or '.'}: {said} are identical files"
+            out.append(f"{text}; pairs between them have no base, so they are left out")
+    return out
+
+
+def _heads(name: str, other: str) -> tuple[str, str]:
+    """The folders of two files without their common end: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
+    mine, its = (PurePosixPath(n).parent.parts for n in (name, other))
+    alike = 0 if mine == its else len(os.path.commonprefix([mine[::-1], its[::-1]]))
+    return "/".join(mine[: len(mine) - alike]), "/".join(its[: len(its) - alike])
+
+
+def need_two(count: int, report: Report) -> None:
+    """Raise InputError, with what was left out, for fewer than two images."""
+    if count < 2:
+        reasons = dict.fromkeys(d.reason for d in report.dropped)
+        named = [f"{some(d.name for d in report.dropped if d.reason == why)}: {why}" for why in reasons]
+        why = "; ".join(named[:3])
+        raise InputError(
+            f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
+            + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")
+        )
+
+
+# --- the images that the other stages read --------------------------------------------------------------------------
 
 
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:

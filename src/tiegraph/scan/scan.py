@@ -8,20 +8,18 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.scan.assign import ImageFiles, Report, Shot, Survey, Usable, assign, need_two, usable_images, zoomed
+from tiegraph.scan.assign import ImageFiles, Shot, Survey, assign, into_frames
 from tiegraph.scan.cameras import FileFacts, calibrate, with_camera, with_start_cameras
-from tiegraph.scan.fisheye import into_views, with_lit_circle
 from tiegraph.scan.folders import natural
-from tiegraph.scan.frames import into_frames
-from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
+from tiegraph.scan.prepare import KEPT_SUFFIXES, Report, need_two, prepare_image, usable_images, zoomed
 from tiegraph.scan.priors.positions import Frames
 from tiegraph.scan.priors.priors import Followed, estimate_priors
 from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.sharedfiles import perspective_views, two_lenses
 from tiegraph.scan.tuning import Tuning
+from tiegraph.scan.views import into_views, perspective_views, two_lenses, with_lit_circle
 from tiegraph.scene.composed import wide_first
 from tiegraph.scene.decoding import EIGHT_BIT
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -67,41 +65,28 @@ def build_scene(
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = replace(usable_images(names, probes, report), video=inputs.video)
-    survey, pictures, whole = _assigned(inputs, usable, ImageFiles(names, probes, names), settings, report, tuning)
+    # Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into
+    cut = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning)
+    cut = cut or perspective_views(usable, inputs.rig, settings, report, tuning)
+    if cut is None:
+        survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
+        pictures = ImageFiles(names, probes, names)
+    else:
+        survey, pictures = cut
     survey = _one_size(survey, pictures.names, pictures.probes, report)
     survey = into_frames(survey, pictures.files, settings.frames, report, tuning.frames)
     need_two(len(survey.shots), report)
-    survey = _with_cameras(inputs, survey, pictures, whole, report, tuning)
+    sizes = {k: _facts(shots, pictures.probes, survey.loose).size for k, shots in _sensors(survey).items()}
+    survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
+    if inputs.start is not None:
+        must_be_whole(inputs.start, cut is None)
+    for start in filter(None, (inputs.start, inputs.cameras if cut is None else None)):
+        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
     rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
     rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views, tuning.panorama)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
     return _scene(inputs, views, rigs, survey, settings, report, tuning)
-
-
-def _assigned(
-    inputs: ScanInputs, usable: Usable, pictures: ImageFiles, settings: ScanSettings, report: Report, tuning: Tuning
-) -> tuple[Survey, ImageFiles, bool]:
-    """Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into."""
-    views = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning) or perspective_views(
-        usable, inputs.rig, settings, report, tuning
-    )
-    if views is None:
-        return assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text), pictures, True
-    return *views, False
-
-
-def _with_cameras(
-    inputs: ScanInputs, survey: Survey, pictures: ImageFiles, whole: bool, report: Report, tuning: Tuning
-) -> Survey:
-    """The survey with the cameras that the user, a start model or a bag gave."""
-    sizes = {k: _facts(shots, pictures.probes, survey.loose).size for k, shots in _sensors(survey).items()}
-    survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
-    if inputs.start is not None:
-        must_be_whole(inputs.start, whole)
-    for start in filter(None, (inputs.start, inputs.cameras if whole else None)):
-        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
-    return survey
 
 
 # --- sizes and frames -----------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ class FoldersTuning(Section):
 
 
 class FramesTuning(Section):
-    """Images of a rig that were taken together (`frames.py`), and cameras that write into one folder (`bands.py`)."""
+    """Images of a rig that were taken together (`assign.py`), and cameras that write into one folder (`folders.py`)."""
 
     unique: float = Field(0.9, ge=0, le=1)
     """Least share of numbers in a camera's names that occur once, if they number frames."""
@@ -50,7 +50,8 @@ class CameraTuning(Section):
     same_shape: float = Field(0.01, ge=0)
     """Relative difference of two aspect ratios that rounding to whole pixels may cause."""
     start_focal: float = Field(0.01, gt=0)
-    """Sigma of the focal length of a start model's camera, relative: it is adjusted."""
+    """Relative sigma of the focal length of a start model's camera, and of a factory's: it is adjusted. Three of
+    Insta360's models of one camera agree to 0.4 %."""
     min_fov_deg: float = Field(1.0, ge=0)
     """Least field of view across an image."""
     max_fov_deg: float = Field(170.0, gt=0, lt=180)
@@ -79,7 +80,7 @@ class RigTuning(Section):
 
 
 class PanoramaTuning(Section):
-    """The views of panoramas (`sharedfiles.py`): like the side cameras of a Ladybug, for the same offsets and
+    """The views of panoramas (`views.py`): like the side cameras of a Ladybug, for the same offsets and
     sections as such a rig; and one up. Below are the tripod, the operator or the platform."""
 
     around: int = Field(5, gt=0)
@@ -87,25 +88,20 @@ class PanoramaTuning(Section):
     hfov_deg: float = Field(80.0, gt=0, lt=180)
     """Width of a view: 8 degrees more than a fifth of the circle, so that features at the edges have surroundings."""
     vfov_deg: float = Field(90.0, gt=0, lt=180)
-    """Height of a view."""
+    """Height of a view, and width and height of one of a single fisheye lens."""
 
 
 class LensViewsTuning(Section):
-    """The image circle of a fisheye lens, and the views of a calibrated one (`fisheye.py`)."""
+    """The image circle of a fisheye lens, and the views of a calibrated one (`views.py`)."""
 
     wider_deg: float = Field(150.0, gt=0, le=180)
     """A lens with a larger field of view is cut into views: at its rim a pixel counts 15 times and more in a plane."""
     back_to_back_deg: float = Field(150.0, gt=0, le=180)
     """Least angle between two lenses of a 360 camera."""
-    fov_deg: float = Field(90.0, gt=0, lt=180)
-    """Field of view, across and down, of a view of a single lens: one ahead, four around as far as the reach. Level
-    views of a 360 camera are as wide and high as a panorama's: one ahead, two to the sides as far as the reach."""
     reach_deg: float = Field(88.0, gt=0, lt=90)
     """Largest angle off the axis in views: at 90 degrees COLMAP's lenses end, and the last pixels would be black."""
     nominal_sigma: float = Field(0.05, gt=0)
-    """Relative sigma of the focal length of a lens of a 360 camera without calibration ..."""
-    factory_sigma: float = Field(0.01, gt=0)
-    """... and of one with the factory's: three of its models of one camera agree to 0.4 %."""
+    """Relative sigma of the focal length of a lens of a 360 camera without calibration."""
     most_sigma: float = Field(0.0075, gt=0)
     """A lens with a larger relative sigma of the focal length is not cut into views: they hold it fixed."""
     factory_edge_deg: tuple[float, float] = (90.0, 106.0)

@@ -10,9 +10,19 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.stations.loops import Part, adjusted, contradicted, motion, parts, taken_apart
-from tiegraph.stations.pairs import Pair, from_shapes, from_start, met
-from tiegraph.stations.station import Level, Sample, Shot, Station, common_side, station_of
-from tiegraph.stations.tuning import PrecisionTuning, Tuning
+from tiegraph.stations.pairs import (
+    Level,
+    Pair,
+    Sample,
+    Shot,
+    Station,
+    common_side,
+    from_shapes,
+    from_start,
+    met,
+    station_of,
+)
+from tiegraph.stations.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -65,40 +75,24 @@ def join(
     agreeing = _points_shown(stations), stations[0].coarse.side
     pairs = contradicted(_first_pairs(stations, tuning, told), *agreeing)
     found = _adjusted_parts(pairs, len(stations))
-    pairs, found = _grown(pairs, found, stations, tuning)
-    # The pairs, of which those have a reason not to be believed that lay a shape that repeats on itself
+    for _ in range(3):  # further pairs that the adjusted poses say overlap, until there are none
+        more = _further(stations, pairs, found, tuning)
+        if not more:
+            break
+        anew = {(p.first, p.second) for p in more}
+        pairs = contradicted([p for p in pairs if (p.first, p.second) not in anew] + more, *agreeing)
+        found = _adjusted_parts(pairs, len(stations))
     left = {ends: float(row[1]) for ends, row in _loops_m(found).items()}
     pairs = taken_apart(pairs, left, *agreeing)
     found = _adjusted_parts(pairs, len(stations))
     poses, left_out = _in_world(stations, found)
     loops = _loops_m(found)
-    rows = [loops[p.first, p.second] for p in pairs if not p.why_not]
+    rows = np.array([loops[p.first, p.second] for p in pairs if not p.why_not]).reshape(-1, 2)
     sigma = np.full(len(stations), np.nan)
     for part in found:
         for k in part.members if len(part.members) > 1 else ():
             sigma[k] = np.sqrt(np.trace(part.covariance[k, 3:, 3:]) / 3)
-    return Joined(
-        poses=poses,
-        sigma_m=sigma,
-        pairs=pairs,
-        loop_m=np.array(rows).reshape(-1, 2),
-        left_out=left_out,
-    )
-
-
-def _grown(
-    pairs: list[Pair], found: list[Part], stations: Sequence[Station], tuning: Tuning
-) -> tuple[list[Pair], list[Part]]:
-    """Pairs and adjusted parts after further pairs that the adjusted poses say overlap, until there are none."""
-    for _ in range(3):
-        more = _further(stations, pairs, found, tuning)
-        if not more:
-            break
-        anew = {(p.first, p.second) for p in more}
-        others = [p for p in pairs if (p.first, p.second) not in anew]
-        pairs = contradicted(others + more, _points_shown(stations), stations[0].coarse.side)
-        found = _adjusted_parts(pairs, len(stations))
-    return pairs, found
+    return Joined(poses=poses, sigma_m=sigma, pairs=pairs, loop_m=rows, left_out=left_out)
 
 
 def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
@@ -107,12 +101,8 @@ def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
 
 
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
-    """Some points (N, 3) of each station."""
-    # Points of a station that say how far an error moves it
+    """Some points (N, 3) of each station, which say how far an error moves it."""
     return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // 200)] for s in stations]
-
-
-# --- pairs -----------------------------------------------------------------------------------------------------------
 
 
 def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None]) -> list[Pair]:
@@ -164,9 +154,6 @@ def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence
     return out
 
 
-# --- one frame -------------------------------------------------------------------------------------------------------
-
-
 def _adjusted_parts(pairs: list[Pair], count: int) -> list[Part]:
     """The parts that hang together, largest first, each adjusted in the frame of its first station."""
     label = parts(count, pairs)
@@ -193,10 +180,9 @@ def _in_world(stations: Sequence[Station], found: list[Part]) -> tuple[np.ndarra
             for k in part.members:
                 poses[k] = world @ part.poses[k] @ stations[k].shift
             continue
-        alone = len(part.members) == 1
-        left_out |= {
-            k: why if alone else f"{why} (only on {len(part.members) - 1} that do not either)" for k in part.members
-        }
+        if len(part.members) > 1:
+            why = f"{why} (only on {len(part.members) - 1} that do not either)"
+        left_out |= dict.fromkeys(part.members, why)
     return poses, left_out
 
 
@@ -238,7 +224,7 @@ def by_distance(stations: Sequence[Station], poses: np.ndarray, pairs: Sequence[
             fit = b.shift @ transforms.invert(poses[other]) @ poses[own] @ a.shift_back
             found.append(_off(a.sample, b.levels[-1], fit, tuning))
     rows = np.concatenate(found)
-    return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision)
+    return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision.bands, tuning.pair.least_points)
 
 
 def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.ndarray:
@@ -255,26 +241,19 @@ def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.nd
     return np.column_stack([sample.distance_m[near], off / np.maximum(straight, 1e-3), sample.sigma_m[near]])[seen]
 
 
-def _bands(rows: np.ndarray, tuning: PrecisionTuning) -> list[Band]:
+def _bands(rows: np.ndarray, most: int, least_points: int) -> list[Band]:
     """Bands of equal width over what 98 % of the points are in, those with enough of them."""
-    if len(rows) < tuning.least_points:
+    if len(rows) < least_points:
         return []
     low, high = np.percentile(rows[:, 0], [1, 99])
-    edges = np.linspace(low, high, tuning.bands + 1)
+    edges = np.linspace(low, high, most + 1)
     out = []
     for low, high in zip(edges, edges[1:]):
         inside = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
-        if len(inside) < tuning.least_points:
+        if len(inside) < least_points:
             continue
         stated = inside[np.isfinite(inside[:, 2]), 2]
+        usual = float(np.median(stated)) if len(stated) else np.nan
         sigma = robust_sigma(inside[:, 1] - np.median(inside[:, 1]))
-        out.append(
-            Band(
-                from_m=float(low),
-                to_m=float(high),
-                points=len(inside),
-                sigma_m=sigma,
-                stated_m=float(np.median(stated)) if len(stated) else np.nan,
-            )
-        )
+        out.append(Band(from_m=float(low), to_m=float(high), points=len(inside), sigma_m=sigma, stated_m=usual))
     return out

@@ -112,12 +112,10 @@ def parts(count: int, pairs: Sequence[Pair]) -> np.ndarray:
     return graph.parts(i, j, count)
 
 
-# --- adjustment -------------------------------------------------------------------------------------------------------
-# Poses of stations from pairs: along the best tree first, then all pairs together by their information.
+# --- adjustment: along the best tree first, then all pairs together by their information ------------------------------
 
 
-_ITERATIONS, _STILL = 50, 1e-9  # rad and metres
-_DIFFERENCE = 1e-6
+_DIFFERENCE = 1e-6  # rad and metres
 
 
 @dataclass(frozen=True)
@@ -142,14 +140,14 @@ def adjusted(members: list[int], pairs: list[Pair], count: int) -> Part:
     free = {station: 6 * k for k, station in enumerate(members[1:])}
     roots = [np.linalg.cholesky(p.information).T for p in pairs]
     poses = start
-    for _ in range(_ITERATIONS):
+    for _ in range(50):
         jacobian, residual = _equations(pairs, roots, poses, free)
         # Cauchy's weight from three sigmas on, of all six of a pair together.
         far = np.sum(residual.reshape(-1, 6) ** 2, axis=1) / (6 * 3.0**2)
         weight = np.repeat(1 / (1 + far), 6)
         step = -np.linalg.lstsq(jacobian * np.sqrt(weight)[:, None], residual * np.sqrt(weight), rcond=None)[0]
         poses = _moved(poses, free, step)
-        if np.abs(step).max() < _STILL:
+        if np.abs(step).max() < 1e-9:  # rad and metres
             break
     jacobian, residual = _equations(pairs, roots, poses, free)
     loops = np.array([[np.linalg.norm(_off(p, q)[3:]) for q in (start, poses)] for p in pairs])

@@ -1,23 +1,174 @@
-"""Two stations laid on each other, and why that is believed or not.
-
-What one station saw where another looked through: a sign that they were laid on each other in a wrong place. A measured
-point says that nothing stands between it and what took it. Points of another cloud that a fit puts there contradict the
-fit, however well the surfaces meet elsewhere. Points behind a surface say nothing: they were hidden.
-"""
+"""Clouds of shots made ready (thinned, with normals and descriptors), two of them laid on each other, and why that is
+believed or not."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, robust_sigma
-from tiegraph.geometry.coarse import motions
-from tiegraph.stations.station import Level, Station, engine
+from tiegraph.geometry.coarse import Shape, motions, normals, shape_of, side_for, thinned
 from tiegraph.stations.tuning import PairTuning, Tuning
 
-_TURN, _SHIFT = 1e-6, 1e-5  # rad and voxels: GICP has converged
+_UPWARDS = np.array([0.36, 0.48, 0.8])  # walls have a side too
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Points (N, 3) of a shot; normals (N, 3) of its file, None = it has none; the sigma (N,) that it states, NaN =
+    none. ``known``: its pose (4, 4) in the world, None = unknown. ``own_frame``: its points are in the frame of what
+    took it, so that their distance from there is known."""
+
+    name: str
+    xyz: np.ndarray
+    normal: np.ndarray | None = None
+    sigma_m: np.ndarray | None = None
+    known: np.ndarray | None = None
+    own_frame: bool = True
+
+    def seen_from(self) -> tuple[np.ndarray, bool]:
+        """(N, 3) directions in which the surface was seen from, and whether that is sure: else towards the origin of
+        the shot's own frame, or in a world upwards."""
+        if self.normal is not None:
+            return self.normal, True
+        return -self.xyz if self.own_frame else np.broadcast_to(_UPWARDS, self.xyz.shape), False
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Some points as measured (M, 3), about the middle of the cloud; their lines of sight (M, 3), distance from what
+    took them and the sigma they state (M,), metres; NaN = unknown."""
+
+    xyz: np.ndarray
+    ray: np.ndarray
+    distance_m: np.ndarray
+    sigma_m: np.ndarray
+
+
+class Level:
+    """A thinned cloud (N, 3) about its middle: normals, a tree, and its own roughness."""
+
+    def __init__(self, xyz: np.ndarray, side: float, neighbours: int) -> None:
+        self.xyz, self.side = xyz, side
+        self.tree = cKDTree(xyz)
+        self.normal = normals(xyz, neighbours)
+        near = xyz[self.tree.query(xyz, k=min(9, len(xyz)))[1][:, 1:]] - xyz[:, None]
+        off = np.einsum("nki,ni->nk", near, self.normal)
+        self.rough = robust_sigma(off - off.mean(axis=1, keepdims=True))
+        # In voxels, because small_gicp's covariances and limits are absolute numbers.
+        gicp = engine()
+        self.gicp = gicp.PointCloud(xyz / side)
+        self.gicp_tree = gicp.KdTree(self.gicp)
+        gicp.estimate_covariances(self.gicp, self.gicp_tree, neighbours)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A shot ready to be laid on others. Its points are about their ``middle`` (3,); ``known``: world_from_station
+    (4, 4) of the points about the middle; ``eye`` (3,) from where they were seen, about the middle, None = unknown."""
+
+    name: str
+    middle: np.ndarray
+    shape: Shape
+    levels: list[Level]
+    sample: Sample
+    known: np.ndarray | None = None
+    eye: np.ndarray | None = None
+
+    @property
+    def coarse(self) -> Level:
+        """The thinnest level."""
+        return self.levels[0]
+
+    @property
+    def shift(self) -> np.ndarray:
+        """(4, 4) from the shot's own frame to that about the middle."""
+        out = np.eye(4)
+        out[:3, 3] = -self.middle
+        return out
+
+    @property
+    def shift_back(self) -> np.ndarray:
+        """(4, 4) inverse of ``shift``."""
+        return transforms.invert(self.shift)
+
+
+def common_side(shots: Sequence[Shot], tuning: Tuning) -> float:
+    """Side of the coarse voxels: one for all, that of the median cloud."""
+    return float(np.median([side_for(s.xyz, tuning.coarse.points) for s in shots]))
+
+
+def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
+    """Make a shot ready. Raises ValueError if too few points are left of it."""
+    middle = np.median(shot.xyz, axis=0)
+    xyz = shot.xyz - middle
+    shape = shape_of(xyz, side, tuning.coarse, *shot.seen_from())
+    if len(shape.xyz) < tuning.pair.least_points:
+        raise ValueError(
+            f"only {len(shape.xyz)} voxels of {side:.3g} m have points: its surface is too small beside the others'"
+        )
+    levels = [
+        Level(thinned(xyz, side * share)[0], side * share, tuning.coarse.normal_neighbours)
+        for share in tuning.pair.levels
+    ]
+    known = None
+    if shot.known is not None:
+        known = shot.known.copy()
+        known[:3, 3] += shot.known[:3, :3] @ middle
+    return Station(
+        name=shot.name,
+        middle=middle,
+        shape=shape,
+        levels=levels,
+        sample=_sample(shot, middle),
+        known=known,
+        eye=-middle if shot.own_frame else None,
+    )
+
+
+def _sample(shot: Shot, middle: np.ndarray) -> Sample:
+    some = slice(None, None, max(1, len(shot.xyz) // 20_000))
+    xyz = shot.xyz[some]
+    unknown = np.full(len(xyz), np.nan)
+    distance = np.linalg.norm(xyz, axis=1) if shot.own_frame else unknown
+    return Sample(
+        xyz=xyz - middle,
+        ray=xyz / np.maximum(distance, 1e-12)[:, None],
+        distance_m=distance,
+        sigma_m=unknown if shot.sigma_m is None else shot.sigma_m[some],
+    )
+
+
+def engine() -> Any:
+    """The module small_gicp. Raises EngineMissing without it."""
+    try:
+        import small_gicp
+    except ImportError:
+        raise EngineMissing("clouds are laid on each other by small_gicp: pip install tiegraph[stations]") from None
+    return small_gicp
+
+
+def spacing_of(xyz: np.ndarray, from_origin: bool) -> np.ndarray:
+    """(N,) the usual spacing of points (N, 3) as far away as each: a stray point has that of its distance, not its own.
+
+    ``from_origin``: the points are in the frame of what took them; else one spacing for all.
+    """
+    some = slice(None, None, max(1, len(xyz) // 10_000))
+    third = cKDTree(xyz).query(xyz[some], k=min(4, len(xyz)))[0][:, -1]  # a disc that wide holds three others
+    if not from_origin:
+        return np.full(len(xyz), float(np.median(third)))
+    away = np.linalg.norm(xyz, axis=1)
+    order = np.argsort(away[some], kind="stable")
+    parts = np.array_split(order, min(20, len(order)))
+    middle = [float(np.median(away[some][p])) for p in parts]
+    return np.interp(away, middle, [float(np.median(third[p])) for p in parts])
+
+
+# --- two stations ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -53,8 +204,8 @@ def refined(target: Level, source: Level, start: np.ndarray) -> np.ndarray:
         max_correspondence_distance=2.5,
         num_threads=1,
         max_iterations=40,
-        rotation_epsilon=_TURN,
-        translation_epsilon=_SHIFT,
+        rotation_epsilon=1e-6,  # rad
+        translation_epsilon=1e-5,  # voxels
     )
     fit = np.array(found.T_target_source)
     fit[:3, 3] *= target.side
@@ -78,19 +229,13 @@ def met(target: Level, source: Level, fit: np.ndarray, tuning: PairTuning) -> Me
     return Met(source=rows, target=planes, residual_m=residual, overlap=overlap)
 
 
-@dataclass(frozen=True)
-class Held:
-    """How well the surfaces hold a fit: ``information`` (6, 6) of turn (rad) and shift (m) about ``middle`` (3,) in the
-    target's frame, and smallest over largest eigenvalue of the equations, all unknowns in metres of motion."""
+def held(target: Level, source: Level, fit: np.ndarray, found: Met) -> tuple[np.ndarray, np.ndarray, float]:
+    """How well the surfaces hold a fit: middle (3,) of the overlap in the target's frame, information (6, 6) of turn
+    (rad) and shift (m) about it, and smallest over largest eigenvalue of the equations, all unknowns in metres.
 
-    middle: np.ndarray
-    information: np.ndarray
-    open_share: float
-
-
-def held(target: Level, source: Level, fit: np.ndarray, found: Met) -> Held:
-    """By the equations of points against planes; points of a sixth of the longest side err together (a sandwich of
-    clusters)."""
+    By the equations of points against planes; points of a sixth of the longest side err together (a sandwich of
+    clusters).
+    """
     xyz = transforms.apply(fit, source.xyz[found.source])
     normal = target.normal[found.target]
     middle = xyz.mean(axis=0)
@@ -109,7 +254,7 @@ def held(target: Level, source: Level, fit: np.ndarray, found: Met) -> Held:
     formal = inverse * found.sigma_m**2
     unit = np.r_[np.full(3, 1 / extent), np.ones(3)]
     covariance = (inverse @ (pull.T @ pull) @ inverse + formal) * np.outer(unit, unit)
-    return Held(middle, np.linalg.inv(covariance), float(values[0] / values[-1]))
+    return middle, np.linalg.inv(covariance), float(values[0] / values[-1])
 
 
 @dataclass(frozen=True)
@@ -170,8 +315,11 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
     for target, source in zip(a.levels, b.levels):
         fit = refined(target, source, fit)
         found = met(target, source, fit, limits)
-        rough = float(np.hypot(target.rough, source.rough))
-        why = _not_the_same(found, rough, limits)
+        rough, why = float(np.hypot(target.rough, source.rough)), ""
+        if found.overlap < limits.least_overlap or len(found.source) < limits.least_points:
+            why = f"only {found.overlap:.0%} overlap at best"
+        elif found.sigma_m > limits.residual * rough:
+            why = f"the surfaces differ by {found.sigma_m:.2g} m where they are rough to {rough:.2g} m"
         if why:
             break
     pair = Pair(
@@ -186,35 +334,25 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
     )
     if why:
         return pair
-    fine = held(target, source, fit, found)
-    through = looked_through(a, b, fit)
-    pair = replace(pair, middle=fine.middle, information=fine.information, through=through)
-    coarse = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits))
+    middle, information, _ = held(target, source, fit, found)
+    pair = replace(pair, middle=middle, information=information, through=looked_through(a, b, fit))
+    _, _, open_share = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits))
     # A plane, sphere, cylinder or edge has 0.00007 to 0.0004, a relief of 10 mm on 0.4 m 0.0024, an object 0.007.
-    if coarse.open_share < 0.001:
-        return pair.refused(
-            f"the surfaces slide along each other (held to {coarse.open_share:.1g} of what a corner holds)"
-        )
+    if open_share < 0.001:
+        return pair.refused(f"the surfaces slide along each other (held to {open_share:.1g} of what a corner holds)")
     # Residuals of a whole cell have one sign there, and tens of thousands of points hold no better than one.
     if pair.sigma_m > 0.4 * pair.residual_m:
         return pair.refused("the distances between the surfaces are no noise: they are not the same surface")
     return pair
 
 
-def _not_the_same(found: Met, rough: float, limits: PairTuning) -> str:
-    if found.overlap < limits.least_overlap or len(found.source) < limits.least_points:
-        return f"only {found.overlap:.0%} overlap at best"
-    if found.sigma_m > limits.residual * rough:
-        return f"the surfaces differ by {found.sigma_m:.2g} m where they are rough to {rough:.2g} m"
-    return ""
-
-
-# --- what one station saw where another looked through ---------------------------------------------------------------
-
-
 def looked_through(a: Station, b: Station, a_from_b: np.ndarray) -> float:
-    """Share of the points of either station that stand in free space of the other, of those that are in its view; the
-    larger of both. NaN where it is not known from where a cloud was taken, or too few points are in view."""
+    """Share of the points of either station in the view of the other that stand in its free space; the larger of both.
+
+    Nothing stands between a measured point and what took it, so points that a fit puts there contradict the fit,
+    however well the surfaces meet elsewhere. Points behind a surface say nothing. NaN where it is not known from where
+    a cloud was taken, or too few points are in view.
+    """
     both = [_share(a, b, a_from_b), _share(b, a, transforms.invert(a_from_b))]
     return float(np.nanmax(both)) if np.isfinite(both).any() else np.nan
 

@@ -18,18 +18,16 @@ class PairTuning(Section):
     least_overlap: float = Field(0.2, gt=0, lt=1)
     """Share of the points of the cloud that overlaps more. Stations are planned for 30 to 60 %."""
     least_points: int = Field(200, ge=20)
-    """Of a thinned cloud that lie on the other, and of a cloud altogether."""
+    """Of a thinned cloud that lie on the other, of a cloud altogether, and of a band of distances."""
     residual: float = Field(2.0, gt=1)
     """Robust sigma of the distances between surfaces over their own roughness, at most."""
 
 
 class PrecisionTuning(Section):
-    """How far points lie from other stations' surfaces, by distance (`precision.py`)."""
+    """How far points lie from other stations' surfaces, by distance (`joined.py`)."""
 
     bands: int = Field(6, ge=1)
-    """Of distance, at most ..."""
-    least_points: int = Field(200, ge=10)
-    """... with so many points each."""
+    """Of distance, at most."""
 
 
 class Tuning(Section):

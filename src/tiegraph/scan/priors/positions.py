@@ -78,9 +78,7 @@ def from_gnss(
     if gnss.names:
         gnss = without_far(_known(gnss, frames), tuning.gnss.most_far)
     notes.extend(gnss.notes)
-    near = np.ones(len(gnss.time_s), bool)
-    if not gnss.names:
-        near = _overlap(gnss, priors.time_s, settings)
+    near = slice(None) if gnss.names else _overlap(gnss, priors.time_s, settings)
     origin = _origin(gnss.lat_lon_height[near], settings, notes)
     cut = np.zeros((len(frames.rows), 3))
     world = world_from_geodetic(gnss.lat_lon_height, origin)
@@ -157,14 +155,14 @@ def _overlap(gnss: Gnss, time_s: np.ndarray, settings: ScanSettings) -> np.ndarr
             f"{path}: its rows have times, but the frames have none (no EXIF, no times in the names). Give --times "
             "with a table image,time, or a GNSS table with a column image"
         )
-    first, last = np.nanmin(time_s) - settings.max_gap_s, np.nanmax(time_s) + settings.max_gap_s
-    near = (gnss.time_s >= first) & (gnss.time_s <= last)
+    first, last = np.nanmin(time_s), np.nanmax(time_s)
+    near = (gnss.time_s >= first - settings.max_gap_s) & (gnss.time_s <= last + settings.max_gap_s)
     if not near.any():
         what = "seconds of the GPS week" if gnss.period_s > DAY_S else "times of day (UTC)"
         undated = f"; it has {what} without a date: give the frames' times as dates (UTC), or likewise"
         raise InputError(
             f"{path}: times {gnss.time_s[0]:.2f} ... {gnss.time_s[-1]:.2f} s do not overlap the frames' "
-            f"{np.nanmin(time_s):.2f} ... {np.nanmax(time_s):.2f} s: other epoch, other time zone, or another survey? "
+            f"{first:.2f} ... {last:.2f} s: other epoch, other time zone, or another survey? "
             f"Give --times in the clock of the GNSS file{_clock(gnss, time_s)}{undated if gnss.period_s else ''}"
         )
     return near

@@ -186,14 +186,9 @@ def _paths(
         poses[k] = poses[k] @ np.linalg.inv(body_of(frames.specs[row.rig])[0])
     group[np.isnan(poses[:, 0, 0])] = -1
     named = next((s for s in frames.specs if s.rig_from_body() is not None and not s.body_is_reference), None)
-    what = (
-        f"the body frame of {Path(named.file).name}"
-        if named
-        else (
-            f"the camera {frames.rigs[0].sensors[0].name!r} (x right, y down, z forward); if they are those of another "
-            "body, give its axes in a rig.toml"
-        )
-    )
+    camera = f"the camera {frames.rigs[0].sensors[0].name!r} (x right, y down, z forward)"
+    other = f"{camera}; if they are those of another body, give its axes in a rig.toml"
+    what = f"the body frame of {Path(named.file).name}" if named else other
     notes.append(f"the trajectory is read as poses of {what}")
     if len(files) > 1:
         each = "each pass in its own world (they all start at the same pose)" if own_worlds else "all in one world"
@@ -333,19 +328,14 @@ def _lay_on_gnss(
     for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry perhaps not
         fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
         scale = fit.scale
-    return _Laid(
-        rotation=fit.rotation @ level @ poses[:, :3, :3],
-        antenna=(scale * centre + arm) @ fit.rotation.T + fit.translation,
-        scale=scale,
-        rms_m=rms_m,
-    )
+    antenna = (scale * centre + arm) @ fit.rotation.T + fit.translation
+    return _Laid(rotation=fit.rotation @ level @ poses[:, :3, :3], antenna=antenna, scale=scale, rms_m=rms_m)
 
 
 def _turn_to_z(up: np.ndarray) -> np.ndarray:
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    x = skew(axis)
     if up[2] < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
+    x = skew(np.cross(up, [0.0, 0.0, 1.0]))
     return np.eye(3) + x + x @ x / (1 + up[2])
 
 

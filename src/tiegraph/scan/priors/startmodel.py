@@ -4,10 +4,9 @@ Of each, the poses of images and their cameras are read, both by image name. Pos
 cameras x right, y down, z forward; their world and its unit may be any. nerfstudio's conventions are in
 ``scene.namedposes``.
 
-**OpenSfM** (``reconstruction.json``;
-``opensfm/io.py``): a list of reconstructions, each with ``shots``: ``rotation`` (an angle-axis vector) and
-``translation`` are those of camera_from_world, the camera x right, y down, z forward; ``camera`` names one of
-``cameras``. Shots of rigs carry their own pose, too.
+**OpenSfM** (``reconstruction.json``; ``opensfm/io.py``): a list of reconstructions, each with ``shots``: ``rotation``
+(an angle-axis vector) and ``translation`` are those of camera_from_world, the camera x right, y down, z forward;
+``camera`` names one of ``cameras``. Shots of rigs carry their own pose, too.
 
 **Metashape** (Export Cameras, XML; manual, "Camera data"): ``transform`` of a camera is world_from_camera in the
 coordinates of its chunk, 4 x 4 row by row, the camera x right, y down, z forward. The ``transform`` of chunk or
@@ -70,9 +69,6 @@ def read_start(path: Path) -> StartModel:
     return replace(found, program=program, notes=tuple(f"{called(place)}: {note}" for note in found.notes))
 
 
-# --- COLMAP ---------------------------------------------------------------------------------------------------------
-
-
 def _colmap(folder: Path) -> StartModel:
     model = read_model(folder)
     cameras = {
@@ -95,9 +91,6 @@ def _colmap(folder: Path) -> StartModel:
         unposed=len(model.images) - len(poses),
         notes=notes,
     )
-
-
-# --- nerfstudio -----------------------------------------------------------------------------------------------------
 
 
 def _transforms(path: Path) -> StartModel:
@@ -152,11 +145,8 @@ def must_be_whole(start: StartModel, whole: bool) -> None:
         )
 
 
-# --- OpenSfM ---------------------------------------------------------------------------------------------------------
-
-
-def opensfm_model(path: Path) -> StartModel:
-    """The largest reconstruction of a reconstruction.json. Raises InputError, naming file and shot."""
+def _opensfm(path: Path) -> StartModel:
+    """The largest reconstruction of a reconstruction.json."""
     data = read_json(path, "a reconstruction.json of OpenSfM or ODM")
     parts = [p for p in (data if isinstance(data, list) else [data]) if isinstance(p, dict)]
     parts = [p for p in parts if isinstance(p.get("shots"), dict) and p["shots"]]
@@ -164,11 +154,8 @@ def opensfm_model(path: Path) -> StartModel:
         raise InputError(f"{path}: no reconstruction with shots in it; give a finished one")
     part = max(parts, key=lambda p: len(p["shots"]))
     shots, others = part["shots"], sum(len(p["shots"]) for p in parts) - len(part["shots"])
-    notes = []
-    if len(parts) > 1:
-        notes.append(
-            f"the largest of {len(parts)} reconstructions is taken: {len(shots)} images; {others} are in others"
-        )
+    largest = f"the largest of {len(parts)} reconstructions is taken: {len(shots)} images; {others} are in others"
+    notes = [largest] if len(parts) > 1 else []
     known: dict[str, FoundCamera] = {}
     try:
         known = {c.name: c for c in opensfm_cameras([part.get("cameras")], str(path))}
@@ -181,21 +168,17 @@ def opensfm_model(path: Path) -> StartModel:
 
 def _shot(row: Any, where: str) -> np.ndarray:
     """world_from_camera (4, 4)."""
-    columns = []
+    vectors = {}
     for key in ("rotation", "translation"):
-        vector = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
-        if vector is None:
+        vectors[key] = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
+        if vectors[key] is None:
             raise InputError(f"{where}: {key} is no list of three numbers: remove that shot")
-        columns.append(vector)
-    turn, shift = columns
-    return transforms.invert(transforms.rigid(Rotation.from_rotvec(turn).as_matrix(), shift))
+    turn = Rotation.from_rotvec(vectors["rotation"]).as_matrix()
+    return transforms.invert(transforms.rigid(turn, vectors["translation"]))
 
 
-# --- Metashape -------------------------------------------------------------------------------------------------------
-
-
-def metashape(path: Path) -> StartModel:
-    """The largest component of the largest chunk of a camera export. Raises InputError, naming file and line."""
+def _metashape(path: Path) -> StartModel:
+    """The largest component of the largest chunk of a camera export."""
     chunks = [(c, list(c.all("camera"))) for c in parse_xml(path, whole_file(path, f"give {ACCEPTED}")).all("chunk")]
     sizes = [sum(bool(c.said("transform")) for c in cameras) for _, cameras in chunks]
     if not sizes:
@@ -252,7 +235,7 @@ def _sensors(chunk: Element, path: Path) -> tuple[dict[str, FoundCamera], list[s
 
 _READERS: dict[str, Callable[[Path], StartModel]] = {
     "COLMAP": _colmap,
-    "OpenSfM": opensfm_model,
+    "OpenSfM": _opensfm,
     "nerfstudio": _transforms,
-    "Metashape": metashape,
+    "Metashape": _metashape,
 }

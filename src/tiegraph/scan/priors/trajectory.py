@@ -1,6 +1,4 @@
-"""Trajectories of visual odometry, SLAM or an INS: the file of each pass, and reading them; and poses of
-images, by their names, as poses of the frames' rigs.
-"""
+"""Trajectories of visual odometry, SLAM or an INS, and poses of images by their names, as poses of the frames' rigs."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -37,8 +37,6 @@ from tiegraph.scan.rigfiles.cameraread import (
     NUMBER,
     FoundCamera,
     exactly,
-    is_kalibr,
-    is_opencv,
     kalibr,
     kalibr_blocks,
     matrix_of,
@@ -56,7 +54,6 @@ PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "
     "camera_models.json, Agisoft's XML"
 )
-_ROW = re.compile(rf"(?m)^[ \t]*\d+[ \t]+(?:{'|'.join(MODELS)})[ \t]")
 
 
 def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
@@ -65,7 +62,7 @@ def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
     if path.suffix.lower() == ".bin":
         return cameras_bin(path, where)
     content = utf8_text(path, where, known)
-    read = next((read for told, read in FORMATS.values() if told(content)), None)
+    read = next((read for marks, read in FORMATS.values() if all(re.search(m, content) for m in marks)), None)
     found = [] if read is None else read(content, where)
     if not found:
         raise InputError(f"{where}: the format of the calibration is unknown{known}")
@@ -159,17 +156,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
         check_lens(found, tuning.camera)
         if number:
             pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}"))
-        sensors.append(
-            SensorSpec(
-                name=camera,
-                body_from_sensor=pose,
-                model=found.model,
-                size=found.size,
-                params=found.params,
-                number=number,
-                at=found.where,
-            )
-        )
+        sensors.append(SensorSpec(name=camera, body_from_sensor=pose, number=number, **found.of_sensor()))
     rig = RigSpec(name, tuple(sensors), file=str(path), body_is_reference=True)
     for fault in faults(rig, tuning):
         raise InputError(f"{path}: {fault.message}")
@@ -191,11 +178,6 @@ def _link(block: str, where: str) -> np.ndarray:
 
 
 # --- OpenSfM ----------------------------------------------------------------------------------------------------------
-
-
-def is_opensfm(content: str) -> bool:
-    """Whether a text is a camera_models.json or reconstruction.json."""
-    return content.lstrip()[:1] in ("{", "[") and '"projection_type"' in content
 
 
 def opensfm(content: str, where: str) -> list[FoundCamera]:
@@ -268,11 +250,6 @@ _TERMS = (
 )  # fmt: skip
 
 
-def is_agisoft(content: str) -> bool:
-    """Whether a text is a calibration or a camera file of Metashape, PhotoScan or Lens."""
-    return bool(re.search(r"<calibration\b", content) and re.search(r"<fx?>", content))
-
-
 def agisoft(content: str, where: str) -> list[FoundCamera]:
     """The cameras of Agisoft's XML. Raises InputError."""
     root = parse_xml(where, content.encode())
@@ -328,11 +305,11 @@ def _agisoft_lens(
     return "OPENCV", (*wide, k1, k2, p2, p1)
 
 
-FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[FoundCamera]]]] = {
-    "Kalibr's camchain.yaml": (is_kalibr, kalibr),
-    "OpenSfM's camera_models.json": (is_opensfm, opensfm),
-    "Agisoft's XML": (is_agisoft, agisoft),
-    "OpenCV's or ROS's YAML or XML": (is_opencv, opencv),
-    "COLMAP's cameras.txt": (lambda content: bool(_ROW.search(content)), _cameras_txt),
+FORMATS: dict[str, tuple[tuple[str, ...], Callable[[str, str], list[FoundCamera]]]] = {
+    "Kalibr's camchain.yaml": ((r"camera_model\s*:", r"intrinsics\s*:"), kalibr),
+    "OpenSfM's camera_models.json": ((r"\A\s*[{\[]", '"projection_type"'), opensfm),
+    "Agisoft's XML": ((r"<calibration\b", "<fx?>"), agisoft),
+    "OpenCV's or ROS's YAML or XML": ((r"(?im)camera_?matrix|<K\b|^\s*K\s*:",), opencv),
+    "COLMAP's cameras.txt": ((rf"(?m)^[ \t]*\d+[ \t]+(?:{'|'.join(MODELS)})[ \t]",), _cameras_txt),
 }
-"""For each format a test whether a text has it, and the reader of its cameras (text, where it is from)."""
+"""For each format expressions that a text of it has, and the reader of its cameras (text, where it is from)."""

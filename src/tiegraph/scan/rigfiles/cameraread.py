@@ -16,6 +16,7 @@ xi d + z, d the distance of the point, except for that factor.
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from tiegraph.errors import InputError
 
@@ -36,6 +37,10 @@ class FoundCamera:
     size: tuple[int, int] | None
     where: str
     name: str = ""
+
+    def of_sensor(self) -> dict[str, Any]:
+        """The fields of a ``SensorSpec`` with this camera."""
+        return {"model": self.model, "size": self.size, "params": self.params, "at": self.where}
 
 
 def only_one(cameras: list[FoundCamera], where: str) -> FoundCamera:
@@ -119,16 +124,6 @@ _BROWN = ("", "none", "plumb_bob", "rational_polynomial", "radtan", "brown", "op
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 _K = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "d")
 _MOST = 8  # k1 k2 p1 p2 k3 k4 k5 k6
-
-
-def is_kalibr(content: str) -> bool:
-    """Whether a text is a camchain.yaml."""
-    return bool(re.search(r"camera_model\s*:", content) and re.search(r"intrinsics\s*:", content))
-
-
-def is_opencv(content: str) -> bool:
-    """Whether a text has a camera matrix as OpenCV or ROS write it."""
-    return bool(re.search(r"camera_?matrix|<K\b|^\s*K\s*:", content, re.IGNORECASE | re.MULTILINE))
 
 
 def opencv(content: str, where: str) -> list[FoundCamera]:

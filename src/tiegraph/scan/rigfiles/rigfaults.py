@@ -131,13 +131,10 @@ class Fault(NamedTuple):
 
 def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
     """All faults of the geometry of a rig, worst first."""
-    for table, number, key, said in _far_apart(spec, tuning.max_rig_m):
-        yield Fault(table=table, number=number, key=key, message=said)
+    yield from _far_apart(spec, tuning.max_rig_m)
     for number, sensor in enumerate(spec.sensors):
-        for key, value, (_, most) in (
-            ("sigma_m", sensor.sigma_m, SIGMA_M),
-            ("sigma_deg", sensor.sigma_deg, SIGMA_DEG),
-        ):
+        sigmas = ("sigma_m", sensor.sigma_m, SIGMA_M), ("sigma_deg", sensor.sigma_deg, SIGMA_DEG)
+        for key, value, (_, most) in sigmas:
             if value is not None and value > most:
                 said = f"{key} = {value:g}: {most:g} at most; omit it if unknown"
                 yield Fault(table="sensors", number=number, key=key, message=said)
@@ -146,9 +143,8 @@ def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
         wrong = list(_pair(pair, tuning))
         first = seen.setdefault(frozenset(pair.sensors), number)
         if first != number:
-            wrong.append(
-                ("sensors", f"pair {' - '.join(pair.sensors)} is given twice (pair {first + 1}): join the two")
-            )
+            twice = f"pair {' - '.join(pair.sensors)} is given twice (pair {first + 1}): join the two"
+            wrong.append(("sensors", twice))
         for key, said in wrong:
             yield Fault(table="pairs", number=number, key=key, message=said)
 
@@ -175,7 +171,7 @@ def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
     return out
 
 
-def _far_apart(spec: RigSpec, most_m: float) -> Iterator[tuple[str, int, str, str]]:
+def _far_apart(spec: RigSpec, most_m: float) -> Iterator[Fault]:
     placed = [(k, s.body_from_sensor) for k, s in enumerate(spec.sensors) if s.body_from_sensor is not None]
     remedy = f"more than {most_m:g} m: are these millimetres?"
     for n, (k, pose) in enumerate(placed):
@@ -183,11 +179,12 @@ def _far_apart(spec: RigSpec, most_m: float) -> Iterator[tuple[str, int, str, st
             away = dist(pose[:3, 3], other[:3, 3])
             if not away <= most_m:
                 names = f"{spec.sensors[k].name!r} is {away:g} m from {spec.sensors[j].name!r}"
-                yield "sensors", k, "position_m", f"sensor {names}, {remedy}"
+                yield Fault(table="sensors", number=k, key="position_m", message=f"sensor {names}, {remedy}")
     if spec.antenna_m is not None and placed:
         near = min(dist(spec.antenna_m, pose[:3, 3]) for _, pose in placed)
         if not near <= most_m:
-            yield "", 0, "antenna_m", f"antenna_m: {near:g} m from the nearest camera, {remedy}"
+            said = f"antenna_m: {near:g} m from the nearest camera, {remedy}"
+            yield Fault(table="", number=0, key="antenna_m", message=said)
 
 
 def _pair(pair: SensorPair, tuning: RigTuning) -> Iterator[tuple[str, str]]:

@@ -271,7 +271,7 @@ class _TomlReader:
         at = f"{part.at('file')}: {name}"
         found = only_one(read_camera_file(self.path.parent / name, at), at)
         check_lens(found, self.tuning)
-        return {"at": found.where, "model": found.model, "size": found.size, "params": found.params}
+        return found.of_sensor()
 
 
 def _pose(part: Part, axes: str) -> np.ndarray | None:

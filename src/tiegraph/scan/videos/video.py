@@ -1,7 +1,7 @@
 """Videos as image sequences: the sharpest picture of each stretch of time, numbered in order, each with its time.
 
 Videos of 360 cameras before stitching: Insta360's .insv, an MP4 by another name. There are three kinds. One video shows
-both lenses side by side: its pictures are recognised by their two circles (``sharedfiles``). Two files of one shot,
+both lenses side by side: its pictures are recognised by their two circles (``views``). Two files of one shot,
 ..._00_... and ..._10_..., or two video tracks of one file, have a lens each: their pictures become the two cameras of a
 rig.
 """
@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
-from tiegraph.scan.recording import Recording
-from tiegraph.scan.recording.tracks import VIDEO, BrokenTrack, OneVideoTrack, edits, tracks
+from tiegraph.scan.recording import VIDEO, BrokenTrack, OneVideoTrack, Recording, edits, tracks
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import KINDS as TOPICS
 from tiegraph.scan.videos.bagfilms import BagFilm

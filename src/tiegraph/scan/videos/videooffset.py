@@ -20,10 +20,11 @@ import scipy
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import robust_sigma
-from tiegraph.scan.assign import Report, Usable, assign
+from tiegraph.scan.assign import assign
+from tiegraph.scan.prepare import Report, Usable
 from tiegraph.scan.settings import ScanSettings, video_offsets
-from tiegraph.scan.sharedfiles import PRESET
 from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
+from tiegraph.scan.views import PRESET
 from tiegraph.scene.images import Probe
 
 # Resolution of the search, not decisions:

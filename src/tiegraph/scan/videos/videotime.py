@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.scan.recording import RECORDED_RANGE_S, Fixes, Readings, believed
-from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
-from tiegraph.scan.recording.insta360 import read_trailer
-from tiegraph.scan.recording.tracks import BrokenTrack, boxes
+from tiegraph.scan.recording import RECORDED_RANGE_S, BrokenTrack, Fixes, Readings, believed, boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
+from tiegraph.scan.telemetry import Telemetry, read_gpmf, read_trailer
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import date_text, seconds_of

@@ -1,22 +1,110 @@
-"""Tracks of an MP4 or QuickTime file (ISO/IEC 14496-12, 8.3 to 8.7), with the places and times of their samples.
+"""Films: a file, a track of one, or a topic of a bag; the fixes of a receiver; and the tracks of an MP4 file.
 
-Tables state their own length; it is checked against the box and the file before anything is read.
-
-Boxes of an MP4 or QuickTime file (ISO/IEC 14496-12, 4.2): where their contents begin and end.
+The boxes (ISO/IEC 14496-12, 4.2) and tracks (8.3 to 8.7) of an MP4 or QuickTime file are read with the places and times
+of their samples. Tables state their own length; it is checked against the box and the file before anything is read.
+OpenCV's FFmpeg reads only the first video track (``CAP_PROP_VIDEO_STREAM`` is refused), but reads from a Python stream,
+in which the other tracks are named free space.
 """
 
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import regular
+from tiegraph.scene.bags import shown
+from tiegraph.scene.exif import Taken
+from tiegraph.scene.names import clean
+from tiegraph.scene.sorting import Columns
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One film: a file, one of the video tracks of a file, from 0, or an image topic of a bag."""
+
+    file: Path
+    track: int | None = None
+    topic: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name for messages."""
+        if self.topic is not None:
+            return shown(self.file, self.topic)
+        return clean(self.file.name) + ("" if self.track is None else f", track {self.track + 1}")
+
+
+# 2000 ... 2100: other times are those of clocks that were never set (0 = 1904, 1970).
+RECORDED_RANGE_S = (946684800.0, 4102444800.0)
+_MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heights
+
+
+@dataclass(frozen=True)
+class Readings(Columns):
+    """Readings of a receiver, row by row; NaN = missing. All (N,) but ``lat_lon_height`` (N, 3), degrees and metres."""
+
+    stamp_s: np.ndarray  # on the video's clock
+    time_s: np.ndarray  # seconds since 1970, UTC
+    lat_lon_height: np.ndarray
+    fix: np.ndarray  # 0 = none, 2 = without height, 3
+    dop: np.ndarray  # dilution of precision
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Positions of the receiver at stamps of the video, increasing; height NaN = not known."""
+
+    stamp_s: np.ndarray  # (R,)
+    lat_lon_height: np.ndarray  # (R, 3) degrees, m
+    max_gap_s: float
+
+    def place(self, stamp_s: float) -> Taken:
+        """Position of the frame with a stamp: interpolated between the neighbouring fixes, if they are close enough
+        in time."""
+        last = len(self.stamp_s) - 1
+        after = min(max(int(np.searchsorted(self.stamp_s, stamp_s, side="right")), 1), last)
+        rows = slice(max(after - 1, 0), after + 1)
+        begin, end = self.stamp_s[rows][[0, -1]]
+        if not begin <= stamp_s <= end or end - begin > self.max_gap_s:
+            return Taken()
+        lat, lon, height = self.lat_lon_height[rows].T
+        around = np.unwrap(lon, period=360)  # the shorter way round
+        at = [float(np.interp(stamp_s, self.stamp_s[rows], v)) for v in (lat, around, height)]
+        return Taken(lat_deg=at[0], lon_deg=(at[1] + 180) % 360 - 180, height_m=at[2])
+
+
+def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:
+    """Readings with a fix and a small enough DOP, in order of their stamps; and how many were left out, why."""
+    lat, lon, height = readings.lat_lon_height.T
+    no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
+    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > _MOST_HEIGHT_M)
+    nowhere = ~no_fix & ~on_earth
+    poor = ~no_fix & on_earth & (readings.dop > tuning.most_dop)
+    reasons = {
+        "without a fix": no_fix,
+        f"with a DOP above {tuning.most_dop:g}": poor,
+        "not on the Earth": nowhere,
+    }
+    words = ", ".join(f"{rows.sum()} {why}" for why, rows in reasons.items() if rows.any())
+    good = readings.where(~(no_fix | nowhere | poor))
+    good = good.where(np.argsort(good.stamp_s, kind="stable"))
+    level = good.lat_lon_height.copy()
+    level[good.fix == 2, 2] = np.nan
+    first, last = RECORDED_RANGE_S
+    time = np.where((good.time_s >= first) & (good.time_s <= last), good.time_s, np.nan)
+    kept = replace(good, time_s=time, lat_lon_height=level)
+    return kept, f"{len(kept)} of {len(readings)} fixes used" + (f" ({words} left out)" if words else "")
+
 
 VIDEO = b"vide"
 _MOST_SAMPLES = 1_000_000  # bound of memory: telemetry of 11 days, one a second
+
+
+# --- tracks of an MP4 file -------------------------------------------------------------------------------------------
 
 
 class BrokenTrack(ValueError):
@@ -83,7 +171,7 @@ def samples(file: BinaryIO, track: Track) -> Samples:
     """Places and times of a track's samples. Raises BrokenTrack."""
     sizes = _sizes(file, track)
     offset = _offsets(file, track, sizes)
-    scale = _scale(file, track)
+    scale = _scale(file, track.span, (b"mdia", b"mdhd"))
     steps = _table(file, track, b"stts", 8, ">u4", columns=2)  # 8.6.1.2: how many, how long
     counts = np.minimum(steps[:, 0], len(sizes)).astype(np.int64)
     length = np.repeat(steps[:, 1], _at_most(counts, len(sizes))).astype(float) / scale
@@ -96,9 +184,8 @@ def samples(file: BinaryIO, track: Track) -> Samples:
 def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
     """By its edit list (8.6.6) how long a track shows nothing at first, and how much of its samples is then cut
     off, s. Raises BrokenTrack."""
-    found = _inside(file, track.span, (b"edts", b"elst"))
-    movie = next((h for span in boxes(file, b"moov", 0, file.seek(0, 2)) for h in boxes(file, b"mvhd", *span)), None)
-    if found is None or movie is None:
+    found, whole = _inside(file, track.span, (b"edts", b"elst")), (0, file.seek(0, 2))
+    if found is None or _inside(file, whole, (b"moov", b"mvhd")) is None:
         return 0.0, 0.0
     file.seek(found[0])
     data = file.read(min(found[1] - found[0], _MOST_SAMPLES))
@@ -106,8 +193,9 @@ def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
     row = np.dtype([("length", ">u8" if wide else ">u4"), ("media", ">i8" if wide else ">i4"), ("rate", ">u4")])
     rows = np.frombuffer(data[8 : 8 + (len(data) - 8) // row.itemsize * row.itemsize], row)
     first = next(iter(np.flatnonzero(rows["media"] >= 0)), len(rows))
-    delay_s = float(rows["length"][:first].sum()) / _scale_at(file, movie) if first else 0.0
-    return delay_s, float(rows["media"][first]) / _scale(file, track) if first < len(rows) else 0.0
+    delay_s = float(rows["length"][:first].sum()) / _scale(file, whole, (b"moov", b"mvhd")) if first else 0.0
+    cut = float(rows["media"][first]) / _scale(file, track.span, (b"mdia", b"mdhd")) if first < len(rows) else 0.0
+    return delay_s, cut
 
 
 def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
@@ -116,13 +204,9 @@ def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
     return np.minimum(counts, total - before)
 
 
-def _scale(file: BinaryIO, track: Track) -> int:
-    """Units a second of a track's times (8.4.2)."""
-    return _scale_at(file, _inside(file, track.span, (b"mdia", b"mdhd")))
-
-
-def _scale_at(file: BinaryIO, found: tuple[int, int] | None) -> int:
-    data = b""
+def _scale(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> int:
+    """Units a second of the times of a track or a movie (8.2.2, 8.4.2)."""
+    found, data = _inside(file, span, path), b""
     if found is not None:
         file.seek(found[0])
         data = file.read(min(24, found[1] - found[0]))
