@@ -168,13 +168,15 @@ def _opensfm(path: Path) -> StartModel:
 
 def _shot(row: Any, where: str) -> np.ndarray:
     """world_from_camera (4, 4)."""
-    vectors = {}
-    for key in ("rotation", "translation"):
-        vectors[key] = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
-        if vectors[key] is None:
+
+    def vector(key: str) -> np.ndarray:
+        found = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
+        if found is None:
             raise InputError(f"{where}: {key} is no list of three numbers: remove that shot")
-    turn = Rotation.from_rotvec(vectors["rotation"]).as_matrix()
-    return transforms.invert(transforms.rigid(turn, vectors["translation"]))
+        return found
+
+    turn = Rotation.from_rotvec(vector("rotation")).as_matrix()
+    return transforms.invert(transforms.rigid(turn, vector("translation")))
 
 
 def _metashape(path: Path) -> StartModel:
