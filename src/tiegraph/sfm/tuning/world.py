@@ -187,24 +187,13 @@ class WorldTuning(Section):
     """Constants of sfm/world."""
 
     fixes: FixTuning = Field(default_factory=FixTuning)
-    """Measured positions."""
     noise: NoiseTuning = Field(default_factory=NoiseTuning)
-    """Sigmas of positions."""
     up: UpTuning = Field(default_factory=UpTuning)
-    """The upward direction."""
     marks: MarkTuning = Field(default_factory=MarkTuning)
-    """Control points."""
     scale: ScaleTuning = Field(default_factory=ScaleTuning)
-    """The scale from the rig."""
     fit: FitTuning = Field(default_factory=FitTuning)
-    """The similarity."""
     sources: SourceTuning = Field(default_factory=SourceTuning)
-    """The sources by themselves."""
     similarity_fit: SimilarityFitTuning = Field(default_factory=SimilarityFitTuning)
-    """The fit."""
     trend: TrendTuning = Field(default_factory=TrendTuning)
-    """Systematic residuals."""
     statements: StatementTuning = Field(default_factory=StatementTuning)
-    """Remarks."""
     adjustment: AdjustmentTuning = Field(default_factory=AdjustmentTuning)
-    """The adjustment with positions."""

@@ -9,12 +9,13 @@ also shows whether they were marked in copies of the images; check points never 
 with the sigma of its file, with the accuracy with which the images transfer its baselines to the length of the whole
 (the adjustment's own sigma of the scale, which two cameras back to back hardly determine) and with the share of its
 lever arms that the images contradict. Cameras on all sides (a ring, or two back to back) determine the vertical, to 3
-deg or to their variation from frame to frame.
+deg or to their variation from frame to frame (``upright``). Sources that contradict each other are weighed before the
+fit (``weighing``).
 
-**Similarity** (``similarityfit``, ``fit``). Lever arm and clock offset are unknowns of it (``antenna``). Undetermined
-values are reported: along a straight path the clock offset acts like the lever arm, and the height of an antenna like
-the height of the world. Positions of images by name are those of the cameras, unless they certainly differ by one
-lever arm.
+**Similarity** (``similarityfit``, ``fit``). Lever arm and clock offset are unknowns of it with weak priors. Values that
+the positions hardly determine stay as given (``positionerrors``) and are reported: along a straight path the clock
+offset acts like the lever arm, and the height of an antenna like the height of the world. Positions of images by name
+are those of the cameras, unless they certainly differ by one lever arm.
 
 **Adjustment with positions** (``fit.by_errors``, ``georeferencing``). Positions, control points, antenna, clock,
 similarity and the undetermined part of the shape are unknowns of one block, in which the large eigenvectors of the

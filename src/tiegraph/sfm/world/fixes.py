@@ -57,6 +57,11 @@ class Measured:
     bars: BarsFound | None = None
 
     @property
+    def length_scale(self) -> LengthScale | None:
+        """The scale by known lengths, if they determine it reliably."""
+        return next((s for s in self.lengths[:1] if not s.why_not), None)
+
+    @property
     def metres_per_unit(self) -> float:
         """The scale by known lengths, 1 without any."""
         return self.lengths[0].metres_per_unit if self.lengths else 1.0

@@ -175,7 +175,8 @@ class GeorefRequest:
 
 
 def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) -> OneWorld:
-    """The models of ``folders`` in one world, as one model in ``target``; the model itself is not returned."""
+    """The models of ``folders`` in one world, as one model in ``target``; the model itself and the evidence that placed
+    it are not returned."""
     scene, settings, tuning, held = Scene.from_json(request.scene), request.settings, request.tuning, request.constant
     models = [read_model(folder) for folder in request.folders]
     given, unfit = as_marked(models[0], scene, request.measurements, tuning.world)
@@ -190,7 +191,8 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     assert made.model is not None
     request.target.mkdir(parents=True, exist_ok=True)
     made.model.write(str(request.target))
-    return replace(made, model=None, contradictions=(*made.contradictions, *unfit))
+    first = replace(made.first, placing=None)
+    return replace(made, first=first, model=None, contradictions=(*made.contradictions, *unfit))
 
 
 def as_marked(

@@ -3,7 +3,7 @@ world."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -58,15 +58,20 @@ def targets(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, count: i
     A mark farther than 20 px from where the others put the point is left out if two or more remain. The point is left
     out too if more than a third of its marks are, and the rest may intersect by chance.
     """
-    return [_target(seen, rows, tuning) for seen, rows in _rays(model, scene, marks, range(count), tuning)]
+    seen = _rays(_views(model, scene, marks), marks, range(count), tuning)
+    return [_target(rays, rows, tuning) for rays, rows in seen]
+
+
+def _views(model: pycolmap.Reconstruction, scene: Scene, marks: Marks) -> dict[int, tuple[np.ndarray, Any]]:
+    """Poses (4, 4) and cameras of the images with marks that are in the model, by scene index."""
+    images = {k: model.find_image_with_name(scene.names[k]) for k in np.unique(marks.image).tolist()}
+    return {k: (matrix(i.cam_from_world()), i.camera) for k, i in images.items() if i is not None and i.has_pose}
 
 
 def _rays(
-    model: pycolmap.Reconstruction, scene: Scene, marks: Marks, points: Sequence[int], tuning: MarkTuning
+    views: Mapping[int, tuple[np.ndarray, Any]], marks: Marks, points: Sequence[int], tuning: MarkTuning
 ) -> Iterator[tuple[list[_Ray], np.ndarray]]:
     """For one point after another, the rays of its marks in images with poses, and the rows of these marks."""
-    images = {k: model.find_image_with_name(scene.names[k]) for k in np.unique(marks.image)}
-    views = {k: (matrix(i.cam_from_world()), i.camera) for k, i in images.items() if i is not None and i.has_pose}
     sigma = np.hypot(marks.sigma_px, tuning.pose_sigma_px)
     sigma = np.where(np.isfinite(sigma), sigma, tuning.mark_sigma_px)
     for point in points:
@@ -90,9 +95,9 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
         "their rays meet"
     )
     often = np.argsort(-np.bincount(own.point), kind="stable")[: tuning.points_for_copy]
-    own = own.where(np.isin(own.point, often))
-    if _miss_px(model, scene, own, AS_IS, tuning) <= tuning.soft_px:
-        unsure = _miss_px(model, scene, own, Copy(0.5), tuning) <= tuning.soft_px
+    own, views = own.where(np.isin(own.point, often)), _views(model, scene, own)
+    if _miss_px(views, scene, own, AS_IS, tuning) <= tuning.soft_px:
+        unsure = _miss_px(views, scene, own, Copy(0.5), tuning) <= tuning.soft_px
         return AS_IS, _UNSURE if unsure else said if outside else ""
     cameras = [c for k in np.unique(own.image) if (c := file_camera(scene.sensor_of(int(k)))) is not None]
     side = min((max(c.width, c.height) for c in cameras), default=1)
@@ -100,14 +105,14 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     sizes = np.exp(np.arange(np.log(_SMALLEST), np.log(most) + _STEP / 2, _STEP))
     turned = (False, True) if np.any(own.orientation != 1) else (False,)
     tried = [AS_IS, *(c for t in turned for s in sizes if not (c := Copy(float(s), t)).like(AS_IS))]
-    miss_px = np.array([_miss_px(model, scene, own, copy, tuning) for copy in tried])
+    miss_px = np.array([_miss_px(views, scene, own, copy, tuning) for copy in tried])
     best = tried[int(np.argmin(miss_px))]
     others = miss_px[[not c.like(best) for c in tried]]
     free = min(2 * len(own) - 3 * len(np.unique(own.point)) - 1, tuning.free_for_copy)
     if best == AS_IS or not fits_better(others.min(), miss_px.min(), free):
         return AS_IS, said if outside else ""
     near = [replace(best, size=float(best.size * f)) for f in np.linspace(1 - _STEP, 1 + _STEP, 41)]
-    fine_px = [_miss_px(model, scene, own, copy, tuning) for copy in near]
+    fine_px = [_miss_px(views, scene, own, copy, tuning) for copy in near]
     found = near[int(np.argmin(fine_px))]
     return found, (
         f"the marks were made in images {found}: scaled to these, their mean error is {min(fine_px):.1f} px instead "
@@ -115,11 +120,13 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     )
 
 
-def _miss_px(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, copy: Copy, tuning: MarkTuning) -> float:
+def _miss_px(
+    views: Mapping[int, tuple[np.ndarray, Any]], scene: Scene, marks: Marks, copy: Copy, tuning: MarkTuning
+) -> float:
     """Mean distance of marks in a copy from the intersections of their points' rays, ``max_mark_px`` at most."""
     inside = as_copy(marks, scene, copy, tuning)
     off, points = [np.full(len(marks) - len(inside), tuning.max_mark_px)], np.unique(marks.point).tolist()
-    for seen, _ in _rays(model, scene, inside, points, tuning):
+    for seen, _ in _rays(views, inside, points, tuning):
         if len(seen) > 1:
             residual = np.linalg.norm(_off_sigmas(seen, _nearest(seen)).reshape(-1, 2), axis=1)
             off.append(np.minimum(copy.size * residual * [s.sigma_px for s in seen], tuning.max_mark_px))

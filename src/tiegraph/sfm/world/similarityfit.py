@@ -216,7 +216,7 @@ def _of_fixes(measured: Measured, fixes: Fixes, arm: np.ndarray, metres: float) 
     pose, speed = fixes.blend(measured.frames(metres))
     orientation = measured.scene.world_from_rig[fixes.home, :3, :3].copy()
     orientation[fixes.weights.max(axis=1) < measured.tuning.similarity_fit.at_frame] = np.nan
-    scale = next((s for s in measured.lengths[:1] if not s.why_not), None)
+    scale = measured.length_scale
     return Evidence(
         frame=fixes.home,
         pose=pose,

@@ -146,9 +146,9 @@ def weigh(measured: Measured, evidence: Evidence, fixes: Fixes, rows: Stated, fr
     first, points = np.arange(len(evidence.frame)) < len(fixes), len(measured.points) > 0
     free = frozenset([ANTENNA] if free_antenna else [])
     own = _alone(name, evidence.alone(first, free), rows, tuning)
-    marked = None
-    if points:
-        marked = _alone(CONTROL, evidence.alone(~first, frozenset()), None, tuning) or _few(evidence.where(~first), own)
+    marked = _alone(CONTROL, evidence.alone(~first, frozenset()), None, tuning)
+    if points and marked is None:
+        marked = _few(evidence.where(~first), own)
     sources = tuple(s for s in (own, marked) if s is not None)
     at = evidence.pose[~first if points else first, :3, 3].mean(axis=0)
     out = Weighed(sources, at, name, free_antenna=free_antenna, places_used=tuple(s.name for s in sources))
@@ -203,7 +203,7 @@ def _with_scale(out: Weighed, measured: Measured, evidence: Evidence, fixes: Fix
         """(3,) metres by which this error of the scale (logarithm) moves the positions (root mean square)."""
         return apart * spread_m * np.ones(3)
 
-    lengths = next((s for s in measured.lengths[:1] if not s.why_not), None)
+    lengths = measured.length_scale
     against = {} if lengths is None else {
         n: apart for n, s in told.items()
         if (apart := abs(float(np.log(s.similarity.scale / lengths.metres_per_unit))))
