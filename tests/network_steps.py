@@ -12,7 +12,8 @@ from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.network import Network, join_network
-from tiegraph.network.passes import MatchCache
+from tiegraph.network.passes import Context, MatchCache, find_passes
+from tiegraph.network.sections import UpLight
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
@@ -21,7 +22,16 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 Make = Callable[[Scene, PreviewMatches], CoarseModel | None]  # of the scene of a block and its ties
+
+
+def context_of(
+    scene: Scene, match: Callable | MatchCache, settings: CandidatesSettings = SETTINGS, tuning: Tuning = TUNING
+) -> Context:
+    """What a source of pairs is given: the previews of a scene by a function, or those that a cache has."""
+    cache = match if isinstance(match, MatchCache) else MatchCache(match, len(scene))
+    return Context(scene=scene, passes=find_passes(scene), cache=cache, settings=settings, tuning=tuning)
 
 
 @dataclass(frozen=True)
@@ -80,7 +90,7 @@ def estimate_network(
             search.take(wanted, mapper(wanted))
         coarse = search.result()
     own = NetworkSettings(sections=sections)
-    network = join_network(coarse.pairs, coarse.scene, book.matches(), light, (settings, own), tuning)
+    network = join_network(coarse.pairs, coarse.scene, book.matches(), UpLight(light), (settings, own), tuning)
     return Steps(found, coarse, network, book.matches())
 
 

@@ -46,7 +46,7 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
         return np.concatenate([tree, rest[~np.isin(rest, tree)]])
 
     def drawn(c: Candidates) -> np.ndarray:
-        return choose(c, forest(c.i, c.j, c.expected, c.images), most, TUNING).places
+        return choose(c, forest(c.i, c.j, c.expected, c.images), most, TUNING)[0]
 
     return {
         "random + forest": after(rng.permutation(len(pairs))),

@@ -21,8 +21,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.features.preview import Preview
-from tiegraph.network.retrieval.retrieval import nearest_images
-from tiegraph.network.tuning.retrieval import VocabularyTuning
+from tiegraph.network.loose import nearest_images
+from tiegraph.network.tuning import VocabularyTuning
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import Scene
 

@@ -36,6 +36,7 @@ from tiegraph.network.candidates import find_candidates
 from tiegraph.network.coarse.search import Coarse
 from tiegraph.network.network import Network, join_network
 from tiegraph.network.passes import MatchCache
+from tiegraph.network.sections import UpLight
 from tiegraph.pipeline import coarse as coarse_glue
 from tiegraph.pipeline.candidates import _Descriptors
 from tiegraph.project.inputs import Inputs
@@ -152,7 +153,7 @@ def _network(
     found = find_candidates(world.scene, cache, settings.candidates, tuning, descriptors)
     coarse = coarse_glue.judged_by_model(run, (found.pairs, found.scene), cache)
     both = settings.candidates, settings.network
-    return coarse, join_network(coarse.pairs, coarse.scene, cache.matches(), world.brightness, both, tuning)
+    return coarse, join_network(coarse.pairs, coarse.scene, cache.matches(), UpLight(world.brightness), both, tuning)
 
 
 def judged(kept: Pairs, world: CanalWorld) -> dict[str, Any]:

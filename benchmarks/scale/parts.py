@@ -105,7 +105,7 @@ def scores(images: int) -> Measured:
         )
         for k in range(2)
     )  # fmt: skip
-    made = score_matrix(p, q, STRIDE, np.ones((CAMERAS, CAMERAS), bool), tuning.offsets.scores)
+    made = score_matrix(p, q, STRIDE, np.ones((CAMERAS, CAMERAS), bool), tuning.offsets)
     rng = np.random.default_rng(0)
     count = len(made.columns)
     for a in range(len(made.rows)):

@@ -30,8 +30,7 @@ from benchmarks.network.canalworld import CanalWorld, _visible
 from benchmarks.scale.results import save
 from benchmarks.scale.standin import without_pixels
 from benchmarks.scale.survey import read_survey, write_survey
-from tiegraph.features.match import BLOCK_PAIRS
-from tiegraph.features.matchblocks import cut
+from tiegraph.features.matchblocks import BLOCK_PAIRS, cut
 from tiegraph.pipeline import STAGES as TABLE
 from tiegraph.pipeline.candidates import candidates
 from tiegraph.pipeline.coarse import coarse

@@ -26,8 +26,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
 if TYPE_CHECKING:  # the drawing of figures loads as slowly as all else together
-    from tiegraph.design.coverage import Coverage
-    from tiegraph.design.surface import CoveredSurface
+    from tiegraph.design.coverage import Coverage, CoveredSurface
     from tiegraph.pipeline.plan import Forecast
 
 _NAMED = ("rig", "camera")  # each a file, or words

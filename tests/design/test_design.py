@@ -14,9 +14,8 @@ from tiegraph.design.coverage import coverage
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import DesignResult, design, with_coverage
 from tiegraph.design.matchprediction import expected_matches
-from tiegraph.design.resistance import Predictor
 from tiegraph.design.settings import DesignSettings
-from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tracks import Candidates, Predictor, Tracks
 from tiegraph.design.tuning import MatchPredictionTuning, NetTuning, Tuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
 from tiegraph.scene.matches import PreviewMatches

@@ -6,8 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import photos
-from tiegraph.design.coverage import coverage, on_few_points, unknown_across
-from tiegraph.design.surface import VERDICTS, CoveredSurface, surface_map, weak_places
+from tiegraph.design.coverage import (
+    VERDICTS,
+    CoveredSurface,
+    coverage,
+    on_few_points,
+    surface_map,
+    unknown_across,
+    weak_places,
+)
 from tiegraph.design.tuning import SurfaceTuning, Tuning
 from tiegraph.scene.graph import cuts, frame_links, parts
 from tiegraph.scene.matches import PreviewMatches, Visibility

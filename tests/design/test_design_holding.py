@@ -61,27 +61,27 @@ def test_across_every_cut_the_strongest_pairs_stay_until_three_are_expected(coun
     strength = rng.gamma(1.0, 12.0, len(i))
     chance = verified_chance(strength, TUNING.match_prediction)
     kept = np.zeros(len(i), bool)
-    kept[np.concatenate([np.zeros(0, int), *holding(i, j, strength, chance, count, TUNING.holding)])] = True
+    kept[np.concatenate([np.zeros(0, int), *holding(i, j, strength, chance, count, TUNING)])] = True
     sides = [np.arange(count) == k for k in range(count)] + [rng.random(count) < 0.5 for _ in range(20)]
     for side in sides:
         across = np.flatnonzero(side[i] != side[j])
         cut = across[~kept[across]]
         if len(cut):
             better = across[kept[across] & (strength[across] >= strength[cut].max())]
-            assert len(better) >= 3 and chance[better].sum() >= TUNING.holding.wanted - 0.15, "0.95 counts as sure"
+            assert len(better) >= 3 and chance[better].sum() >= TUNING.wanted - 0.15, "0.95 counts as sure"
 
 
 def test_sure_pairs_are_held_by_three_forests_and_no_more() -> None:
     i, j = np.triu_indices(12, 1)
     strength = 500.0 + np.random.default_rng(2).permutation(len(i))
-    rounds = holding(i, j, strength, np.ones(len(i)), 12, TUNING.holding)
+    rounds = holding(i, j, strength, np.ones(len(i)), 12, TUNING)
     assert [len(r) for r in rounds] == [11, 11, 11]
     kept = np.concatenate(rounds)
     assert len(np.unique(parts(i[kept], j[kept], 12))) == 1
     for k in range(12):
         own = np.flatnonzero((i == k) | (j == k))
         assert np.isin(own[np.argsort(strength[own])][-3:], kept).all(), "the three strongest of each image"
-    halves = holding(i, j, strength, np.full(len(i), 0.5), 12, TUNING.holding)
+    halves = holding(i, j, strength, np.full(len(i), 0.5), 12, TUNING)
     assert 55 < sum(len(r) for r in halves) <= 66, "twice as many, where every second fails"
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from features_world import FRAMES, features, filled_database, scene
 from tiegraph.errors import ChildDied, InputError, ReconstructionError
-from tiegraph.features import match, matchblocks
-from tiegraph.features.match import match_pairs
-from tiegraph.features.matchblocks import Rules, Side
+from tiegraph.features import matchblocks
+from tiegraph.features.matchblocks import Rules, Side, match_pairs
 from tiegraph.scene.colmapdatabase import feature_counts, match_counts, pair_ids, write_features
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -132,10 +131,10 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
     script.write_text(
         f"import os, signal, sys; sys.path[:0] = {[str(p) for p in Path(__file__).parents[:2]]!r}\n"
         "from pathlib import Path\nfrom test_features_match import *\n"
-        "from tiegraph.features import match as match_module\n"
+        "from tiegraph.features import matchblocks\n"
         "def stop(done, total):\n    if done:\n        os.kill(os.getpid(), signal.SIGKILL)\n"
         "if __name__ == '__main__':\n"
-        f"    match_module.BLOCK_PAIRS = 4\n    folder = Path({str(tmp_path)!r})\n"
+        f"    matchblocks.BLOCK_PAIRS = 4\n    folder = Path({str(tmp_path)!r})\n"
         "    match_pairs(folder / 'database.db', scene(space=True), listed(), RULES, folder / 'log.txt', stop)\n"
     )
     assert subprocess.run([sys.executable, str(script)]).returncode == -9
@@ -217,7 +216,7 @@ def test_a_block_that_ends_its_process_is_left_away_and_the_others_are_done(tmp_
 
     monkeypatch.setattr(matchblocks, "run_in_child", child)
     monkeypatch.setattr(matchblocks, "run_in_children", lambda f, calls, **how: [child(f, *c, **how) for c in calls])
-    monkeypatch.setattr(match, "BLOCK_PAIRS", 1)
+    monkeypatch.setattr(matchblocks, "BLOCK_PAIRS", 1)
     pairs, report, _ = matched(path, asked)
     assert tried.count(tried[0]) == 2 and len(tried) == report.asked + 1 and report.matched == report.asked - 1
     assert any("no result" in why for _, why in report.lost) and pairs.inliers.max() > 0

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boat_world import CHANCE, Result
-from tiegraph.network.passes import Pass, find_passes
-from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
+from tiegraph.network.loose import BagsOfWords, bags_of_words
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -98,8 +97,3 @@ def video(count: int) -> Scene:
     return simple_scene(
         rig, names, np.arange(count), np.zeros(count), np.zeros(count), np.arange(count), sequences=("clip",)
     )
-
-
-def passes_of(count: int) -> tuple[Pass, ...]:
-    """The one pass of ``video``."""
-    return find_passes(video(count))

@@ -15,8 +15,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel, with_surface
 from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.coarse import TracksTuning
+from tiegraph.network.tuning import TracksTuning, Tuning
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor

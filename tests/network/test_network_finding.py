@@ -9,11 +9,8 @@ import pytest
 from place_world import Places, shuffled_ring, video
 
 from boat_world import Result, World, boat, found, photos, quality, ring
-from network_steps import Steps, network_of
-from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.retrieval.retrieval import retrieve
-from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
+from network_steps import Steps, context_of, network_of
+from tiegraph.network.retrieval import retrieve
 from tiegraph.scene.pairs import REASONS
 
 
@@ -140,10 +137,7 @@ def test_a_video_with_a_loop_is_closed_by_retrieval() -> None:
     i, j, useful = world.useful()
     assert found(network.pairs, (i, j, useful & (j - i < 100)))[0] > 0.95
     asked = world.asked
-    cache = MatchCache(world.match, 400)
-    loops = retrieve(
-        scene, find_passes(scene), cache, CandidatesSettings(), Tuning(), world.descriptors, known=network.pairs
-    )
+    loops = retrieve(replace(context_of(scene, world.match), descriptors=world.descriptors), network.pairs)
     recall, precision = found(network.pairs | loops.pairs, (i, j, useful))
     assert recall > 0.95 and precision > 0.7 and world.asked - asked < 4 * 400
     assert any("see the same place" in note for note in loops.notes)

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from boat_world import Result, boat, quality, ring
-from network_steps import network_of
+from network_steps import context_of, network_of
 from tiegraph import papers
-from tiegraph.network.offsets.curves import curves_csv
-from tiegraph.network.offsets.offsets import OFFSETS, estimate_offsets
-from tiegraph.network.passes import MatchCache, find_passes, loose_images
-from tiegraph.network.rig.axes import (
+from tiegraph.network.axes import (
     angles_deg,
     direction,
     in_words,
@@ -24,6 +21,8 @@ from tiegraph.network.rig.axes import (
     yaw,
     yaw_between,
 )
+from tiegraph.network.offsets import OFFSETS, curves_csv, estimate_offsets
+from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
@@ -106,7 +105,7 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     p, q = find_passes(world.scene)
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
     cache = MatchCache(world.match, len(world.scene))
-    scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
+    scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets)
     step, every = world.step, _around(scores, (1, 3), 15, True, cache, settings)
     assert set(step[every.i] + step[every.j] - 15) == set(range(-4, 5))
     for best in (1, 2):
@@ -182,18 +181,16 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
     rows, asked = [], []
     for frames in (80, 240):
         world = boat((frames, frames), (1.0, 1.0), ring(3, up=False))
-        n = len(world.scene)
-        cache = MatchCache(world.match, n)
-        offsets = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), TUNING)
-        rows.append(len(offsets.pairs) / n)
-        asked.append(len(cache) / n)
+        context = context_of(world.scene, world.match)
+        rows.append(len(estimate_offsets(context).pairs) / len(world.scene))
+        asked.append(len(context.cache) / len(world.scene))
     assert 0.5 < rows[1] / rows[0] < 1.3 and asked[1] / asked[0] < 1.3
 
 
 def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
     world = boat((160,), (1.0,), ring(3, up=False))
-    n, step = len(world.scene), world.step
+    step = world.step
 
     def match(pairs: np.ndarray) -> list[Result]:
         apart = np.abs(step[pairs[:, 0]] - step[pairs[:, 1]])
@@ -203,17 +200,17 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     for budget in (1000, 2):
         offsets = TUNING.offsets.model_copy(update={"min_budget": 0})
         tuning = TUNING.model_copy(update={"offsets": offsets, "previews_an_image": budget})
-        cache = MatchCache(match, n)
-        kept = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), tuning).pairs.kept()
+        context = context_of(world.scene, match, tuning=tuning)
+        kept = estimate_offsets(context).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
-        previews.append(len(cache))
+        previews.append(len(context.cache))
     assert previews[1] < previews[0] and 12 <= furthest[1] <= 1.3 * furthest[0]
 
 
 def test_chance_gives_neither_heading_nor_direction() -> None:
     world = boat((20, 20), (1.5, 1.5))
     p, q = find_passes(world.scene)
-    scores = score_matrix(p, q, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
+    scores = score_matrix(p, q, 2, np.ones((6, 6), bool), TUNING.offsets)
     rng = np.random.default_rng(3)
     few = np.zeros(scores.inliers.shape)
     few[tuple(rng.integers(0, n, 6) for n in few.shape)] = 1.0

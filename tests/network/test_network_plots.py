@@ -14,12 +14,11 @@ from PIL import Image
 
 from boat_world import World, boat, photos, ring
 from network_steps import Steps, network_of
+from tiegraph.network.map import _aggregated, _joined, _layout
 from tiegraph.network.network import metres_per_unit, with_bases
 from tiegraph.network.passes import find_passes
 from tiegraph.network.plots import _matrix, map_png, matrix_png, sections_png, weak_pairs
-from tiegraph.network.plots.map import _aggregated, _joined, _layout
-from tiegraph.network.sections.light import UpLight
-from tiegraph.network.sections.sections import find_sections
+from tiegraph.network.sections import UpLight, find_sections
 from tiegraph.network.tuning import Tuning
 from tiegraph.pipeline import network as glue
 from tiegraph.project.inputs import Inputs
@@ -123,7 +122,7 @@ def test_many_frames_become_runs() -> None:
     scene = boat((1200, 900), (0.5, 0.7)).scene
     rank = np.stack([scene.sequence_index, scene.sequence], axis=1).astype(float)
     nodes = _joined(rank, scene)
-    assert nodes.sequence_index == 7 and 295 <= len(nodes.place) <= 302
+    assert nodes.frames == 7 and 295 <= len(nodes.place) <= 302
     first = int(np.flatnonzero((scene.sequence_index == 0) & (scene.sequence == 0))[0])
     assert np.allclose(nodes.place[nodes.of_frame[first]], [3.0, 0.0])
 

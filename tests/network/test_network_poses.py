@@ -8,12 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boat_world import Result, World, boat, found, ring
-from network_steps import network_of
+from network_steps import context_of, network_of
 from tiegraph.geometry import transforms
 from tiegraph.network.candidates import find_candidates
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.poses.check import PriorCheck, check_prior, checked_pose_pairs
-from tiegraph.network.poses.poses import PoseResult, assumed_range, pose_pairs, view_cameras
+from tiegraph.network.posecheck import PriorCheck, check_prior, checked_pose_pairs
+from tiegraph.network.poses import PoseResult, assumed_range, pose_pairs, view_cameras
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -251,8 +251,8 @@ def canal() -> World:
 
 def asked(world: World, scene: Scene) -> tuple[PriorCheck, MatchCache]:
     """What previews say of the priors of a scene, and those previews."""
-    cache = MatchCache(world.match, len(scene))
-    return check_prior(scene, find_passes(scene), cache, paired(scene), SETTINGS, TUNING), cache
+    context = context_of(scene, world.match, SETTINGS)
+    return check_prior(context, paired(scene)), context.cache
 
 
 @pytest.mark.slow
@@ -288,7 +288,6 @@ def test_a_bad_prior_loses_no_pair(canal: World) -> None:
     true = with_priors(canal)
     poses = np.array(true.world_from_rig)[np.random.default_rng(0).permutation(true.frames)]
     scene = true.with_(world_from_rig=poses)
-    cache = MatchCache(canal.match, len(scene))
-    checked = checked_pose_pairs(scene, find_passes(scene), cache, SETTINGS, TUNING)
+    checked = checked_pose_pairs(context_of(scene, canal.match, SETTINGS))
     assert len(checked.without) == scene.frames and (checked.pairs.dropped == 0).all()
     assert any("refuses no pair" in note for note in checked.notes)

@@ -1,19 +1,19 @@
 """Retrieval: look-alikes by visual words, loops nobody expects, and what ties loose photographs."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from place_world import Places, passes_of, shuffled_ring, video, words_of
+from place_world import Places, shuffled_ring, video, words_of
 
 from boat_world import Result, boat, found, photos
-from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.retrieval.loose import scored_pairs, supported
-from tiegraph.network.retrieval.retrieval import loop_candidates, nearest_images, retrieve
-from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
+from network_steps import context_of
+from tiegraph.network.loose import BagsOfWords, bags_of_words, nearest_images, scored_pairs, supported
+from tiegraph.network.passes import MatchCache
+from tiegraph.network.retrieval import loop_candidates, retrieve
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.retrieval import LoopSearchTuning
+from tiegraph.network.tuning import LoopSearchTuning, Tuning
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
@@ -24,8 +24,7 @@ WORDS = TUNING.retrieval.vocabulary
 
 
 def loops(world: Places, known: Pairs | None = None, cache: MatchCache | None = None, tuning: Tuning = TUNING):
-    cache = cache or MatchCache(world.match, len(world))
-    return loop_candidates(passes_of(len(world)), words_of(world), cache, SETTINGS, tuning, known)
+    return loop_candidates(context_of(video(len(world)), cache or world.match, tuning=tuning), words_of(world), known)
 
 
 def far(world: Places, frames: int) -> tuple:
@@ -128,7 +127,7 @@ def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
     survey = boat((14, 10), (2.0, 2.8))
     count = len(survey.scene)
     words = _words_by(survey, count)
-    result = loop_candidates(find_passes(survey.scene), words, MatchCache(survey.match, count), SETTINGS, TUNING)
+    result = loop_candidates(context_of(survey.scene, survey.match), words)
     recall, precision = found(result.pairs, survey.across())
     assert recall > 0.6 and precision > 0.6 and survey.asked < 16 * count
 
@@ -148,13 +147,13 @@ def test_scenes_without_passes_or_photographs() -> None:
     world = shuffled_ring(30)
     cache = MatchCache(world.match, 30)
     words = bags_of_words(world.descriptors(), WORDS)
-    assert loop_candidates((), words, cache, SETTINGS, TUNING).notes == ()
-    alone = loop_candidates(passes_of(2), bags_of_words(world.descriptors()[:2], WORDS), cache, SETTINGS, TUNING)
+    assert loop_candidates(context_of(photos(30), cache), words).notes == ()
+    alone = loop_candidates(context_of(video(2), cache), bags_of_words(world.descriptors()[:2], WORDS))
     assert len(alone.pairs) == 0
-    result = retrieve(photos(30), (), cache, SETTINGS, TUNING, world.descriptors)
+    result = retrieve(replace(context_of(photos(30), cache), descriptors=world.descriptors))
     assert found(result.pairs, world.useful())[0] == 1 and "30 loose photographs" in result.notes[0]
     clip = video(30)
-    moving = retrieve(clip, find_passes(clip), MatchCache(world.match, 30), SETTINGS, TUNING, world.descriptors)
+    moving = retrieve(replace(context_of(clip, world.match), descriptors=world.descriptors))
     assert all("loose" not in note for note in moving.notes)
 
 
@@ -167,7 +166,7 @@ def test_many_images_are_looked_up_in_linear_memory() -> None:
         world = Places(np.arange(count) * 12.0, around=3 * count)
         descriptors = world.descriptors()
         tracemalloc.start()
-        index, _ = nearest_images(descriptors, 20, WORDS)
+        index, _ = nearest_images(descriptors, 20, WORDS.model_copy(update={"rounds": 1}))  # rounds take time alone
         peak.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         rows = np.repeat(np.arange(count), 20)
@@ -182,7 +181,7 @@ def tied(world: Places, with_words: bool = True, scene: Scene | None = None, ima
     count = len(world)
     words = words_of(world) if with_words else None
     chosen = np.arange(count) if images is None else images
-    return scored_pairs(scene or photos(count), chosen, MatchCache(world.match, count), SETTINGS, TUNING, words)
+    return scored_pairs(context_of(scene or photos(count), world.match), chosen, words)
 
 
 def test_few_photographs_are_all_previewed() -> None:
@@ -246,7 +245,7 @@ def test_nothing_to_tie() -> None:
     assert len(tied(world, images=np.zeros(0, int))) == 0
     cache = MatchCache(lambda pairs: [Result(0) for _ in pairs], 150)
     words = bags_of_words([np.zeros((0, 128), np.uint8)] * 150, TUNING.retrieval.vocabulary)
-    pairs = scored_pairs(photos(150), np.arange(150), cache, SETTINGS, TUNING, words)
+    pairs = scored_pairs(context_of(photos(150), cache), np.arange(150), words)
     assert len(pairs.kept()) == 0 and len(pairs) < 150 * 10
 
 

@@ -13,16 +13,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boat_world import Result, boat, ring
+from network_steps import context_of
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.geometry import transforms
-from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.rig import check
-from tiegraph.network.rig import synchronisation as rigsync
-from tiegraph.network.rig.axes import predicted_shift
-from tiegraph.network.rig.check import check_rig, check_rigs, orders
+from tiegraph.network import rigcheck as check
+from tiegraph.network import synchronisation as rigsync
+from tiegraph.network.axes import predicted_shift
+from tiegraph.network.passes import MatchCache
+from tiegraph.network.rigcheck import check_rig, check_rigs, orders
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
@@ -45,8 +46,7 @@ def axes(rig: Rig) -> np.ndarray:
 def looked_at(scene: Scene, match, rig: Rig | None = None) -> tuple[Scene, str]:
     """The scene and what is said of it, after a look at its rig, or at another one in its place."""
     scene = scene if rig is None else scene.with_(rigs=(rig,))
-    cache = match if isinstance(match, MatchCache) else MatchCache(match, len(scene))
-    checked, notes = check_rigs(scene, find_passes(scene), cache, SETTINGS, TUNING)
+    checked, notes = check_rigs(context_of(scene, match))
     return checked, "\n".join(notes)
 
 
@@ -67,17 +67,16 @@ def test_few_votes_that_chance_may_cast_correct_nothing(against: int, monkeypatc
     shift = predicted_shift(ring(), 0, 1) * np.where(places < against, -1.0, 1.0)[:, None]
     votes = check._Votes(np.zeros(6, int), np.ones(6, int), shift, np.full(6, np.nan), np.full((2, 6, 6), np.nan))
     monkeypatch.setattr(check, "_collect", lambda *_: votes)
-    outcome = check_rig(wrong, (), MatchCache(lambda pairs: [], 0), SETTINGS, TUNING)
-    assert outcome.changed == (not against)
+    outcome = check_rig(context_of(boat((2,), (2.0,)).scene, lambda pairs: []), wrong, ())
+    assert (outcome.rig is not wrong) == (not against)
     assert ("mirrored" in outcome.note) == (not against) and ("fit its axes badly" in outcome.note) == bool(against)
 
 
 def test_too_few_matches_are_said_and_rigs_without_poses_left_alone() -> None:
     scene = boat((10,), (2.0,)).scene
-    outcome = check_rig(
-        ring(), find_passes(scene), MatchCache(lambda pairs: [Result(3)] * len(pairs), len(scene)), SETTINGS, TUNING
-    )
-    assert not outcome.changed and "could not be checked" in outcome.note
+    rig, context = ring(), context_of(scene, lambda pairs: [Result(3)] * len(pairs))
+    outcome = check_rig(context, rig, context.passes)
+    assert outcome.rig is rig and "could not be checked" in outcome.note
     world = boat((4,), (2.0,), ring(5))
     bare = Rig("rig", tuple(Sensor(s.name, s.camera) for s in ring().sensors))
     checked, said = looked_at(world.scene, world.match, bare)
@@ -148,8 +147,9 @@ WRONG = {"mirrored": changed(ring(), np.diag([-1.0, 1, 1])), SWAP: swapped(ring(
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_calibrated_rig_is_told_of_and_kept(wrong: str) -> None:
     world, rig = boat((10, 10), (2.0, 2.0)), replace(WRONG[wrong], fixed=True)
-    outcome = check_rig(rig, find_passes(world.scene), MatchCache(world.match, len(world.scene)), SETTINGS, TUNING)
-    assert not outcome.changed and outcome.rig is rig
+    context = context_of(world.scene, world.match)
+    outcome = check_rig(context, rig, context.passes)
+    assert outcome.rig is rig
     assert all(words in outcome.note for words in (wrong, "it is calibrated", "not changed"))
 
 
@@ -157,10 +157,10 @@ def test_many_cameras_are_put_right_by_swaps() -> None:
     rig = ring(9, up=False)
     angle = rig.axis_angles_deg()
     evidence = np.tile(np.maximum(0, np.cos(np.radians(angle))), (2, 1, 1))
-    assert orders(rig, evidence, TUNING.rig.order) == []
-    (found, *_) = orders(swapped(rig, [0, 1, 6, 3, 4, 5, 2, 7, 8]), evidence, TUNING.rig.order)
+    assert orders(rig, evidence, TUNING.rig.check) == []
+    (found, *_) = orders(swapped(rig, [0, 1, 6, 3, 4, 5, 2, 7, 8]), evidence, TUNING.rig.check)
     assert found.place == (0, 1, 6, 3, 4, 5, 2, 7, 8) and found.fit > 0.85
-    assert orders(rig, np.full_like(evidence, np.nan), TUNING.rig.order) == []
+    assert orders(rig, np.full_like(evidence, np.nan), TUNING.rig.check) == []
 
 
 def lagging(late: dict[int, int], frames: int = 20, flow: float = 0.06) -> tuple[Scene, MatchCache]:

@@ -7,24 +7,22 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from boat_world import Result, boat
-from tiegraph.network.offsets.background import corridor, noise_floor_within
-from tiegraph.network.offsets.offsets import estimate_offsets
+from network_steps import context_of
+from tiegraph.network.offsets import estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.retrieval.retrieval import seen_by_the_rig, unrelated
-from tiegraph.network.retrieval.timeline import Timeline
-from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, score_matrix
-from tiegraph.network.settings import CandidatesSettings
+from tiegraph.network.retrieval import Look, Timeline, seen_by_the_rig, unrelated
+from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, corridor, noise_floor_within, score_matrix
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
-SETTINGS, TUNING = CandidatesSettings(), Tuning()
+TUNING = Tuning()
 
 
 def scores(stride: int = 2) -> ScoreMatrix:
     world = boat((11, 9), (2.0, 2.0))
     p, q = find_passes(world.scene)
-    return score_matrix(p, q, stride, np.ones((6, 6), bool), TUNING.offsets.scores)
+    return score_matrix(p, q, stride, np.ones((6, 6), bool), TUNING.offsets)
 
 
 def test_nodes_include_the_last_frame() -> None:
@@ -39,7 +37,7 @@ def test_the_frontier_of_a_long_band_is_that_of_the_whole_lattice(same) -> None:
     images = np.stack([frames, frames + 150])
     images[0, 40:44] = -1
     p, q = (replace(x, frames=frames, images=images + 300 * k) for k, x in enumerate(find_passes(boat().scene)))
-    band = score_matrix(p, p if same else q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets.scores)
+    band = score_matrix(p, p if same else q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets)
     a, b = np.ogrid[:150, :150]
     known = (np.abs(a - b) < 6) | (rng.random((2, 2, 150, 150)) < 0.001)
     counts = rng.integers(0, 20, known.shape).astype(np.float32)
@@ -81,13 +79,13 @@ def test_a_band_of_evidence_is_smoothed_and_interpolated_as_the_whole_lattice() 
     rng = np.random.default_rng(2)
     frames = np.arange(400)
     p, q = (replace(x, frames=frames, images=frames[None] + 400 * k) for k, x in enumerate(find_passes(boat().scene)))
-    band = score_matrix(p, q, 2, np.ones((1, 1), bool), TUNING.offsets.scores)
+    band = score_matrix(p, q, 2, np.ones((1, 1), bool), TUNING.offsets)
     a, b = np.ogrid[: len(band.rows), : len(band.columns)]
     known = (np.abs(a + b - len(band.columns)) < 9) | (rng.random((len(band.rows), len(band.columns))) < 0.001)
     counts = rng.integers(0, 60, known.shape).astype(np.float32)
     band = replace(band, inliers=np.where(known, counts, np.nan).astype(np.float32)[None, None])
     low, high = TUNING.counts.floor * 12, TUNING.counts.ceiling * 12
-    kernel = {"mode": "constant", "truncate": TUNING.offsets.scores.kernel_cut_sigmas}
+    kernel = {"mode": "constant", "truncate": TUNING.offsets.kernel_cut_sigmas}
     sums = [np.where(known, np.clip(counts, low, high) - low, 0), known]
     sums = [gaussian_filter(x.astype(np.float32), TUNING.counts.sigma_nodes, **kernel) for x in sums]
     smooth = band.smoothed(12, TUNING)
@@ -113,7 +111,7 @@ def test_a_lattice_that_grows_is_smoothed_and_followed_as_the_whole_of_it(same: 
     q = p if same else q
     near = 40 * np.exp(-(((frames[:, None] - frames) / 4) ** 2)) + rng.integers(0, 9, (300, 300))
     cache = MatchCache(lambda pairs: [Result(int(near[i % 300, j % 300])) for i, j in pairs], 1200)
-    grow = score_matrix(p, q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets.scores)
+    grow = score_matrix(p, q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets)
     seeds = np.zeros(grow.inliers.shape, bool)
     seeds[:, :, [40, 41, 170], 38:43] = seeds[:, :, 170, 165:175] = True
     grow = grow.measured(np.nonzero(seeds), cache)
@@ -135,7 +133,7 @@ def test_one_pass_is_symmetric_and_never_asks_twice() -> None:
     (p,) = find_passes(world.scene)
     asked = []
     cache = MatchCache(lambda pairs: asked.extend(pairs.tolist()) or [Result(20) for _ in pairs], len(world.scene))
-    empty = score_matrix(p, p, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
+    empty = score_matrix(p, p, 2, np.ones((6, 6), bool), TUNING.offsets)
     full = empty.measured(np.nonzero(np.isnan(empty.inliers)), cache)
     assert len(asked) == len({tuple(a) for a in asked}) == 30 * 29 // 2
     assert np.array_equal(full.inliers, full.inliers.transpose(1, 0, 3, 2), equal_nan=True)
@@ -183,13 +181,12 @@ class Street:
 def few_axes(monkeypatch):
     """Any two cameras may tie."""
     every = lambda rig, limit: np.ones((len(rig.sensors),) * 2, bool)  # noqa: E731
-    monkeypatch.setattr("tiegraph.network.offsets.offsets.allowed_within", every)
+    monkeypatch.setattr("tiegraph.network.offsets.allowed_within", every)
 
 
 def test_a_long_pass_is_tied_as_far_as_its_cameras_see_and_no_further(few_axes) -> None:
     world = Street()
-    cache = MatchCache(world.match, len(world.scene))
-    kept = estimate_offsets(find_passes(world.scene), cache, len(world.scene), SETTINGS, TUNING).pairs.kept()
+    kept = estimate_offsets(context_of(world.scene, world.match)).pairs.kept()
     i, j = np.triu_indices(len(world.scene), 1)
     hit = np.zeros((len(world.scene),) * 2, bool)
     hit[kept.i, kept.j] = True
@@ -213,8 +210,8 @@ def test_the_level_of_frames_that_share_nothing() -> None:
 
 def test_the_band_is_one_run_of_distances() -> None:
     p = find_passes(Street().scene)[0]
-    level = NoiseFloor(np.full((4, 4), 12.0), 24.0, 8.0, 24.0, TUNING.offsets.scores.most_level)
-    scores = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets.scores, level)
+    level = NoiseFloor(np.full((4, 4), 12.0), most=24.0, lowest=8.0, highest=24.0)
+    scores = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets, level)
     scores.inliers[:] = 8.0
     a, b = np.indices(scores.inliers.shape[2:])
     scores.inliers[1, 1, np.abs(a - b) <= 2] = 24.0
@@ -237,9 +234,10 @@ def line_of(world: Street) -> Timeline:
 
 def test_a_loop_is_what_most_cameras_see_again() -> None:
     world = Street(back_from=100)
-    line, cache = line_of(world), MatchCache(world.match, len(world.scene))
+    line = line_of(world)
     near = np.abs(np.subtract.outer(np.arange(15), np.arange(15))) <= 1
-    level = unrelated(line, near, cache, 12, TUNING)
+    context = context_of(world.scene, world.match)
+    level = unrelated(context, line, near)
     assert level is not None
     # One camera's hits of a true return, and of a wall that looks like another.
     again = [(line.image_at[f, 0], line.image_at[f + 100, 0]) for f in range(10, 40)]
@@ -247,4 +245,4 @@ def test_a_loop_is_what_most_cameras_see_again() -> None:
     hits = [(i, j) for i, j in alike if world.match(np.array([[i, j]]))[0].inliers > 20]
     i, j = np.array(again + hits).T
     patch = np.repeat([0, 1], [len(again), len(hits)])
-    assert list(seen_by_the_rig(line, (i, j), patch, cache, level, TUNING.retrieval.loops)) == [True, False]
+    assert list(seen_by_the_rig(Look(context, line, level), (i, j), patch)) == [True, False]

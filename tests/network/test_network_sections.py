@@ -6,8 +6,16 @@ import pytest
 from boat_world import boat, ring
 from network_steps import network_of
 from tiegraph.network.passes import find_passes
-from tiegraph.network.sections.light import UpLight, by_up_frame, otsu, two_states
-from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places
+from tiegraph.network.sections import (
+    Section,
+    SectionResult,
+    UpLight,
+    by_up_frame,
+    find_sections,
+    join_places,
+    otsu,
+    two_states,
+)
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -30,7 +38,7 @@ def of_frames(scene: Scene, under: np.ndarray) -> np.ndarray:
 
 
 def cut(scene: Scene, light: np.ndarray | UpLight) -> SectionResult:
-    return find_sections(scene, find_passes(scene), light, TUNING)
+    return find_sections(scene, find_passes(scene), light if isinstance(light, UpLight) else UpLight(light), TUNING)
 
 
 def bridges(found: SectionResult) -> np.ndarray:
@@ -45,7 +53,7 @@ def test_bridge_is_found_and_joined_over_both_passes() -> None:
     kinds = {s.name: s for s in network.network.cut.sections}
     assert sorted(kinds) == ["bridge 1", "open 1", "open 2"]
     bridge = np.isin(world.scene.frame, kinds["bridge 1"].frames)
-    assert np.array_equal(bridge, under) and 80 < network.network.cut.threshold < 130
+    assert np.array_equal(bridge, under) and 80 < np.nanmean(network.network.cut.cues[0].threshold) < 130
     assert set(network.scene.section) == {0, 1, 2}
 
 
@@ -67,7 +75,7 @@ def test_even_light_and_slow_change_of_it_are_one_section() -> None:
     scene, rng = survey()[0].scene, np.random.default_rng(1)
     found = cut(scene, UpLight(rng.normal(150, 5, len(scene)), rng.normal(0.8, 0.03, len(scene))))
     assert len(found.sections) == 1 and "two clear classes" in found.notes[0] and "needed" in found.notes[0]
-    assert (found.of_frame == 0).all() and np.isnan(found.threshold)
+    assert (found.of_frame == 0).all() and not any(c.decided for c in found.cues)
     scene = survey(30)[0].scene
     assert len(cut(scene, 150 - 0.5 * scene.frame).sections) == 1
 
@@ -159,7 +167,7 @@ def test_places_are_joined_in_order_even_where_everything_sees_everything(back: 
     a, b = of_frame[scene.frame[i]], of_frame[scene.frame[j]]
     place = np.array([0, 1, 2, 2, 1, 0] if back else [0, 1, 2, 0, 1, 2])
     pairs = Pairs.make(i, j, "model", overlap=np.where(place[a] == place[b], 0.55, 0.5))
-    result = SectionResult(sections, of_frame, 1.0, ())
+    result = SectionResult(sections, of_frame, ())
     joined = join_places(result, scene, pairs, TUNING)
     assert joined.of_frame.tolist() == np.repeat(place, 3).tolist()
     within = scene.sequence[scene.frame[pairs.i]] == scene.sequence[scene.frame[pairs.j]]

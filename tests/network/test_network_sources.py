@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from boat_world import Result, boat, photos
-from network_steps import network_of
+from network_steps import context_of, network_of
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.network.candidates import shown_order
+from tiegraph.network import network
+from tiegraph.network.candidates import Context, exhaustive, sequence, shown_order
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene.pairs import REASONS, pair_lines, read_pair_list
+from tiegraph.scene.pairs import REASONS, Pairs, pair_lines, read_pair_list
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
 
@@ -139,9 +139,8 @@ def test_sources_are_merged() -> None:
 def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
     world = boat((12, 9), (2.0, 2.0))
     passes = find_passes(world.scene)
-    settings = CandidatesSettings(axes_deg=80)
-    listed = axes_pairs(passes, settings)
-    assert axes_count(passes, settings) == len(listed) > 100
+    listed, (note,) = network._with_axes(Pairs.empty(), world.scene, passes, CandidatesSettings(axes_deg=80))
+    assert f": {len(listed)} pairs" in note and len(listed) > 100
     assert np.all(listed.dropped == REASONS.index("axes"))
 
 
@@ -182,7 +181,7 @@ def along(place: np.ndarray, reach: float, lost: float = 0.0, far: int = 9):
 
 
 def ordered(scene: Scene, match, **settings: object) -> tuple[Scene, tuple[str, ...]]:
-    return shown_order(scene, MatchCache(match, len(scene)), CandidatesSettings(**settings), Tuning())
+    return shown_order(context_of(scene, match, CandidatesSettings(**settings)))
 
 
 def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
@@ -191,7 +190,7 @@ def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
     found, (note,) = ordered(scene, match)
     assert (found.sequence == 0).all() and found.sequences == ("p0",) and found.guessed == ()
     assert "a sequence, 40 of 40 previews of neighbours tie, and 0 of 40" in note
-    assert Tuning().sources.sample < sum(asked) <= 2 * Tuning().sources.sample
+    assert Tuning().sample < sum(asked) <= 2 * Tuning().sample
 
 
 @pytest.mark.parametrize("case", ["another order", "everything ties", "gaps", "nothing ties"])

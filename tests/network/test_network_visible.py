@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse import proxy as proxies
 from tiegraph.network.coarse import visible
-from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, observed_proxy, pair_share, shared_surface
+from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy
+from tiegraph.network.coarse.visible import Overlap, pair_share, shared_surface
 from tiegraph.network.tuning import Tuning
 
 TUNING = Tuning().coarse

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from boat_world import boat, ring
+from network_steps import context_of
 from tiegraph import papers
 from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks.sources import SOURCES
-from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.rig.check import check_rigs
-from tiegraph.network.sections.light import UpLight
-from tiegraph.network.sections.sections import find_sections
+from tiegraph.network.passes import find_passes
+from tiegraph.network.rigcheck import check_rigs
+from tiegraph.network.sections import UpLight, find_sections
 from tiegraph.papers.meguro2025 import bright_share, brightness_counts, light
 from tiegraph.project.settings import Settings, merged, preset
 
@@ -87,8 +87,7 @@ def test_the_rig_is_checked_by_default_and_believed_by_the_papers(name: str) -> 
     sensors = tuple(replace(s, sensor_from_rig=mirror @ s.sensor_from_rig @ mirror) for s in ring().sensors)
     scene = world.scene.with_(rigs=(replace(ring(), sensors=sensors),))
     settings = merged(preset(name))
-    book = MatchCache(world.match, len(scene))
-    checked, _ = check_rigs(scene, find_passes(scene), book, settings.candidates, settings.tuning.network)
+    checked, _ = check_rigs(context_of(scene, world.match, settings.candidates, settings.tuning.network))
     assert (checked.rigs[0] is scene.rigs[0]) == (name != "default")
 
 

@@ -17,7 +17,7 @@ from test_rig_files import toml
 from said import refused, says
 from tiegraph.api import open_project
 from tiegraph.network.passes import find_passes
-from tiegraph.network.sections.sections import find_sections
+from tiegraph.network.sections import find_sections
 from tiegraph.network.tuning import SectionsTuning
 from tiegraph.pipeline.preview import up_light
 from tiegraph.project.settings import Settings

@@ -25,10 +25,9 @@ import numpy as np
 
 from tiegraph.design.coverage import Coverage
 from tiegraph.design.matchprediction import counted_matches, expected_matches, predict_matches, verified_chance
-from tiegraph.design.resistance import Net, Predictor, laplacian
 from tiegraph.design.settings import DesignSettings
-from tiegraph.design.tracks import Candidates, Tracks
-from tiegraph.design.tuning import HoldingTuning, NetTuning, Tuning
+from tiegraph.design.tracks import Candidates, Net, Predictor, Tracks, laplacian
+from tiegraph.design.tuning import Tuning
 from tiegraph.errors import choose as choose_entry
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, strongest_places, two_links
 from tiegraph.scene.matches import PreviewMatches, Visibility
@@ -100,23 +99,29 @@ def design(
     allowed = np.iinfo(np.int64).max if settings.budget == "loss" else int(len(scene) * settings.pairs_per_image / 2)
     room = 0 if settings.method == "top" else int(tuning.start_share * allowed)
     start = _start(kept, scene, room, tuning)
-    choice = _chosen(kept, start, scene, allowed, settings, tuning)
-    second = _second_links(kept, choice.places, scene)
+    places, loss, rounds = _chosen(kept, start, scene, allowed, settings, tuning)
+    second = _second_links(kept, places, scene)
     cut = np.ones(len(pairs), bool)
-    cut[kept.row[np.concatenate([choice.places, second])]] = False
+    cut[kept.row[np.concatenate([places, second])]] = False
     chosen = pairs.drop(cut, "cut")
-    notes = _budget_notes(choice, settings, len(start), len(kept.row), allowed)
+    share = f"{settings.method}: {len(places)} of {len(kept.row)} pairs ({100 * len(places) / len(kept.row):.1f} %)"
+    if settings.method != "top" and settings.budget == "loss":
+        share += (
+            f"; over the previews' tracks their position sigma is {100 * loss:.1f} % above that of all (asked: "
+            f"{settings.loss_percent:g} %), the loss at full resolution is known only after matching all"
+        )
+    elif len(start) > allowed:
+        share += f": the budget of {allowed} pairs is not enough to keep the images connected"
     # What the steps chose, by name
-    counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
-    if np.isfinite(choice.loss):
-        counts["preview_loss_percent"] = round(100 * choice.loss, 2)
-    return _made(pairs, chosen, notes, counts)
+    counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(rounds)}
+    if np.isfinite(loss):
+        counts["preview_loss_percent"] = round(100 * loss, 2)
+    return _made(pairs, chosen, () if settings.method == "top" else (share,), counts)
 
 
 @dataclass(frozen=True)
 class _Kept:
-    """K kept pairs: their rows in the table, their images, the matches expected of them (K,), and preview matches:
-    known ones, or those by the coarse model."""
+    """K kept pairs: rows in the table, images, expected matches (K,), known or predicted preview matches."""
 
     row: np.ndarray
     i: np.ndarray
@@ -140,36 +145,18 @@ def _kept(
 
 def _chosen(
     kept: _Kept, start: np.ndarray, scene: Scene, allowed: int, settings: DesignSettings, tuning: Tuning
-) -> Choice:
+) -> tuple[np.ndarray, float, int]:
     """From the start, the strongest pairs of each image, or those with the largest gain within the budget."""
     if settings.method == "top":
         top = strongest_places(kept.i, kept.j, kept.strength, scene, settings.pairs_per_image)
-        return Choice(np.union1d(start, top), np.nan, 0)
+        return np.union1d(start, top), np.nan, 0
     candidates = Candidates.make(kept.i, kept.j, kept.strength, kept.known, len(scene))
     if settings.budget == "pairs":
         return choose(candidates, start, allowed, tuning)
-    judge = Predictor(candidates, tuning.net, _units(scene))
-    return choose(candidates, start, allowed, tuning, judge, settings.loss_percent / 100)
-
-
-def _units(scene: Scene) -> np.ndarray:
-    """(N,) images that move as one: those of a frame whose rig is known; others have numbers of their own."""
+    # Images that move as one: those of a frame whose rig is known; others have numbers of their own
     known = np.array([r.known() for r in scene.rigs], bool)[scene.rig[scene.frame]]
-    return np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
-
-
-def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, allowed: int) -> tuple[str, ...]:
-    if settings.method == "top":
-        return ()
-    share = f"{settings.method}: {len(choice.places)} of {kept} pairs ({100 * len(choice.places) / kept:.1f} %)"
-    if settings.budget == "loss":
-        return (
-            f"{share}; over the previews' tracks their position sigma is {100 * choice.loss:.1f} % above that of all "
-            f"(asked: {settings.loss_percent:g} %), the loss at full resolution is known only after matching all",
-        )
-    if start > allowed:
-        return (f"{share}: the budget of {allowed} pairs is not enough to keep the images connected",)
-    return (share,)
+    judge = Predictor(candidates, tuning.net, np.where(known, scene.frame, scene.frames + np.arange(len(scene))))
+    return choose(candidates, start, allowed, tuning, judge, settings.loss_percent / 100)
 
 
 def _made(before: Pairs, after: Pairs, notes: tuple[str, ...], counts: dict[str, float]) -> DesignResult:
@@ -190,10 +177,10 @@ def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:
 
 def _start(kept: _Kept, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
     """Places of the pairs that every design keeps: a maximum spanning forest, two links of every group, and within
-    ``room`` pairs in all the connections of every image and part."""
+    ``room`` pairs the further rounds of ``holding``."""
     i, j, strength = kept.i, kept.j, kept.strength
     chance = verified_chance(strength, tuning.match_prediction)
-    rounds = holding(i, j, strength, chance, len(scene), tuning.holding)
+    rounds = holding(i, j, strength, chance, len(scene), tuning)
     places = np.unique(np.concatenate([rounds[0], *(two_links(i, j, g.member, strength) for g in groups(scene))]))
     more = np.concatenate([*rounds[1:], places[:0]])
     more = more[~np.isin(more, places)]
@@ -221,7 +208,7 @@ def _second_links(kept: _Kept, chosen: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def holding(
-    i: np.ndarray, j: np.ndarray, strength: np.ndarray, chance: np.ndarray, nodes: int, tuning: HoldingTuning
+    i: np.ndarray, j: np.ndarray, strength: np.ndarray, chance: np.ndarray, nodes: int, tuning: Tuning
 ) -> list[np.ndarray]:
     """Places of the pairs i, j (P,) that stay, in rounds; ``chance`` (P,) of being verified rises with ``strength``.
 
@@ -246,56 +233,52 @@ def holding(
     return rounds
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Candidates chosen, in their order; ``loss`` increase of the position sigma over all candidates by the
-    measure, a share (NaN: not computed); ``rounds`` their number."""
-
-    places: np.ndarray
-    loss: float
-    rounds: int
-
-
 def choose(
     candidates: Candidates,
     start: np.ndarray,
     most: int,
     tuning: Tuning,
     judge: Predictor | None = None,
-    enough: float | None = None,
-) -> Choice:
+    enough: float = 0.0,
+) -> tuple[np.ndarray, float, int]:
     """Greedy design from the candidates at start (K,), which must connect all connectable images; never fewer pairs.
 
-    It stops at ``most`` pairs, or where the loss (a share) that ``judge`` predicts is ``enough``.
+    It stops at ``most`` pairs, or where the loss that ``judge`` predicts is ``enough``. Returns places of the chosen
+    candidates in their order, the loss (increase of the position sigma over all candidates, a share; NaN: not
+    computed), and the number of rounds.
     """
-    tracks, own = Tracks(candidates, tuning.net), tuning.growth
+    tracks = Tracks(candidates, tuning.net)
     chosen = np.zeros(len(candidates), bool)
     weight = np.zeros(len(candidates))  # of the chosen links of the net
     chosen[start] = True
     weight[start] = candidates.expected[start]
     tracks.choose(start, tracks.new())
     order, loss, rounds, looked, before = [start], np.nan, 0, 0, tracks
-    growth = own.fine if candidates.images <= 20_000 else own.coarse
+    growth = tuning.growth_fine if candidates.images <= 20_000 else tuning.growth_coarse
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
-        if judge is not None and enough is not None and (done or count >= (1 + own.look) * looked):
+        if judge is not None and (done or count >= (1 + tuning.growth_look) * looked):
             loss = judge.loss(tracks.chosen, tracks)
             _log.info("round %d: %d of %d pairs, loss over previews %.1f %%", rounds, count, len(chosen), 100 * loss)
             if loss <= enough:
                 places = np.concatenate(order)
                 between = max(looked, len(start)), count
                 end, loss = _shortest(places, before, between, (loss, enough), judge)
-                return Choice(places[:end], loss, rounds)
+                return places[:end], loss, rounds
             before, looked = tracks.copy(), count
         room = min(most, len(candidates)) - count
         if room <= 0:
             break
         new = tracks.new()
-        pace = growth if count < 4.0 * candidates.images else own.coarse
+        pace = growth if count < 4.0 * candidates.images else tuning.growth_coarse
         wanted = min(max(1, int(pace * count)), room)
         each = max(1, round(2 * pace * count / candidates.images))
-        gain = np.where(chosen, -1.0, _gains(candidates, weight, new, tuning.net))
+        net = Net(laplacian(candidates.i, candidates.j, weight, candidates.images), tuning.net)
+        resistance = net.resistance(candidates.i, candidates.j)
+        worth = new + tuning.net.known * candidates.expected
+        gain = np.log1p(np.where(np.isfinite(resistance), resistance, 0.0) * worth)
+        gain[chosen] = -1.0
         picked = _apart(candidates, gain, wanted, each)
         if not len(picked):  # the rest have equal gains
             picked = np.flatnonzero(~chosen)[:room]
@@ -304,13 +287,7 @@ def choose(
         chosen[picked] = True
         order.append(picked)
         rounds += 1
-    return Choice(np.concatenate(order), loss, rounds)
-
-
-def _gains(c: Candidates, weight: np.ndarray, new: np.ndarray, tuning: NetTuning) -> np.ndarray:
-    """(E,) log(1 + R (new + known n)), R the effective resistance in the net of links of ``weight`` (E,)."""
-    resistance = Net(laplacian(c.i, c.j, weight, c.images), tuning).resistance(c.i, c.j)
-    return np.log1p(np.where(np.isfinite(resistance), resistance, 0.0) * (new + tuning.known * c.expected))
+    return np.concatenate(order), loss, rounds
 
 
 def _shortest(
@@ -320,8 +297,8 @@ def _shortest(
     losses: tuple[float, float],
     judge: Predictor,
 ) -> tuple[int, float]:
-    """The least number of the first places, within bounds, of an allowed loss, and it; ``tracks``: of those up to the
-    lower bound; ``losses``: that at the upper bound, allowed."""
+    """The least number of the first places, within bounds, of an allowed loss, and its loss; ``tracks``: of those up to
+    the lower bound; ``losses``: that at the upper bound, allowed."""
     (low, high), (loss, allowed) = between, losses
     for _ in range(4):
         middle = (low + high) // 2

@@ -116,8 +116,7 @@ def _in_common(i: np.ndarray, j: np.ndarray, visibility: Visibility, by_image: n
 def _chosen(
     both: _Common, visibility: Visibility, detected: np.ndarray, likely: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """Places of the common points that match: ``detected`` (sights,) in both images and then drawn, ``likely`` (K,)
-    ``times`` the pair's own excess or deficit."""
+    """Places of the common points that match: ``detected`` in both images, and drawn by ``likely`` ``times``."""
     left, right = both.rows(visibility)
     kept = np.flatnonzero(detected[left] & detected[right])
     chance = likely[kept] * times[both.number[kept]]
@@ -149,11 +148,12 @@ def _fitted(
         known = np.random.default_rng(0).choice(known, tuning.sample, replace=False)
     rows, columns = tuning.cells
     cells = rows * columns
+    cell_deg, cell_octaves = min(tuning.angles_deg) / 2, min(tuning.octaves) / 2
     table = np.zeros((len(known), cells), np.float32)
     for both in _in_common(i[known], j[known], visibility, np.lexsort((j[known], i[known]))):
         angle, octaves = _geometry(both, visibility)
-        row = np.minimum((angle / tuning.cell_deg).astype(int), rows - 1)
-        cell = row * columns + np.minimum((octaves / tuning.cell_octaves).astype(int), columns - 1)
+        row = np.minimum((angle / cell_deg).astype(int), rows - 1)
+        cell = row * columns + np.minimum((octaves / cell_octaves).astype(int), columns - 1)
         size = len(both.pairs) * cells
         table[both.pairs] = np.bincount(both.number * cells + cell, minlength=size).reshape(-1, cells)
     filled = table.any(axis=1)
@@ -165,8 +165,8 @@ def _fitted(
         return best
     table, count = table[filled], measured[known][filled]
     weight = 1.0 / np.sqrt(np.maximum(count, 5.0))
-    angle = (np.arange(rows)[:, None] + 0.5) * tuning.cell_deg
-    octave = (np.arange(columns)[None] + 0.5) * tuning.cell_octaves
+    angle = (np.arange(rows)[:, None] + 0.5) * cell_deg
+    octave = (np.arange(columns)[None] + 0.5) * cell_octaves
     for a in tuning.angles_deg:
         for o in tuning.octaves:
             likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()

@@ -16,12 +16,9 @@ class MatchPredictionTuning(Section):
     """Tried angles between the rays for the law: where probabilities fall to 1 / e."""
     octaves: tuple[float, ...] = Field((0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0), min_length=1)
     """Tried ratios of the distances for the law, octaves: where probabilities fall to 1 / e."""
-    cell_deg: float = Field(1.75, gt=0)
-    """Width in angle of the cells of the tables the law is fitted to."""
-    cell_octaves: float = Field(0.1, gt=0)
-    """Width in octaves of the cells of the tables the law is fitted to."""
     cells: tuple[int, int] = (40, 30)
-    """Number of these cells, in angle and in octaves; the last one contains all larger values."""
+    """Cells, in angle and in octaves, of the table the law is fitted to: half of the smallest tried values wide; the
+    last one contains all larger values."""
     sample: int = Field(3000, gt=0)
     """Previewed pairs for fitting the law: enough for its four numbers."""
     least_previewed: int = Field(30, gt=0)
@@ -30,17 +27,6 @@ class MatchPredictionTuning(Section):
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
     floor: float = Field(0.25, ge=0, le=1)
     """Least share of its expectation for a pair: a preview that failed does not prove that full resolution does."""
-
-
-class HoldingTuning(Section):
-    """The pairs that any design keeps (`design.py`)."""
-
-    wanted: float = Field(3.0, gt=0)
-    """Pairs across every cut that are expected to be verified."""
-    chances: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-    """Steps of the probability of being verified, rising: a probability counts as the next one below."""
-    sure: float = Field(0.95, ge=0, le=1)
-    """Probability from which a pair counts as sure."""
 
 
 class NetTuning(Section):
@@ -64,20 +50,8 @@ class NetTuning(Section):
     canal_demo, where rig and intrinsics are adjusted too (design_real.py); too large costs only pairs."""
 
 
-class GrowthTuning(Section):
-    """The rounds in which pairs are chosen (`design.py`)."""
-
-    fine: float = Field(0.03, gt=0)
-    """Growth of the network in a round. On simulated surveys of 150 and 200 images it gives the sigma of one pair at a
-    time within 1 %, measured with 0.03."""
-    coarse: float = Field(0.10, gt=0)
-    """The same for networks of many images, and for those that are dense already."""
-    look: float = Field(0.20, ge=0)
-    """Growth of the network between two evaluations of its accuracy, which cost more than a round."""
-
-
 class SurfaceTuning(Section):
-    """The map of the surface (`surface.py`)."""
+    """The map of the surface (`coverage.py`)."""
 
     cell: float = Field(0.1, gt=0)
     """Side of a cell, in median distances from image to point: an image of 60 degrees shows some ten by ten."""
@@ -112,11 +86,20 @@ class Tuning(Section):
     with 300 pairs), while 79 images with 2848 pairs took a quarter longer with the same errors."""
     match_prediction: MatchPredictionTuning = Field(default_factory=MatchPredictionTuning)
     """Expected matches by the coarse model, or by overlap."""
-    holding: HoldingTuning = Field(default_factory=HoldingTuning)
-    """The pairs that hold every image and part."""
     net: NetTuning = Field(default_factory=NetTuning)
     """The net of resistances and its tracks."""
-    growth: GrowthTuning = Field(default_factory=GrowthTuning)
-    """Rounds of the choice."""
+    wanted: float = Field(3.0, gt=0)
+    """Pairs across every cut that are expected to be verified, of those that any design keeps."""
+    chances: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+    """Steps of the probability of being verified, rising: a probability counts as the next one below."""
+    sure: float = Field(0.95, ge=0, le=1)
+    """Probability from which a pair counts as sure."""
+    growth_fine: float = Field(0.03, gt=0)
+    """Growth of the network in a round of the choice. On simulated surveys of 150 and 200 images it gives the sigma of
+    one pair at a time within 1 %."""
+    growth_coarse: float = Field(0.10, gt=0)
+    """The same for networks of many images, and for those that are dense already."""
+    growth_look: float = Field(0.20, ge=0)
+    """Growth of the network between two evaluations of its accuracy, which cost more than a round."""
     surface: SurfaceTuning = Field(default_factory=SurfaceTuning)
     """The map of the surface."""

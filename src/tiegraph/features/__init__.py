@@ -1,14 +1,8 @@
 """Key points, COLMAP's database, matching and verification of exactly the listed pairs.
 
-``nearest`` finds which descriptors match, exactly and natively (``native/nearest``); COLMAP verifies the matches. On a
-GPU, or along epipolar lines (``guided``), COLMAP finds them too.
-
+``nearest`` finds which descriptors match, exactly and natively (``native/nearest``); COLMAP verifies the matches.
 Errors in COLMAP's threads abort the process, so matching runs in child processes (``tiegraph.child``) whose abort
-becomes an error with the end of the log. Requests and results are compared after each step. Each
-process has one thread, because with two COLMAP does not always find the same matches
-(``benchmarks/sfm/matching_threads.py``). So ``matchblocks`` runs several processes, each with a small database for each
-block of pairs. ``database.db`` is rewritten after ``match``, so that its bytes do not depend on the order in which
-blocks were finished.
-
-Key points whose support reaches into the mask are left out: they are biased towards the sky.
+becomes an error with the end of the log. ``database.db`` is rewritten after ``match``, so that its bytes do not depend
+on the order in which blocks were finished. Key points whose support reaches into the mask are left out: they are biased
+towards the sky.
 """

@@ -75,9 +75,8 @@ class Preview:
 @dataclass(frozen=True)
 class PreviewMatch:
     """Comparison of two previews: inliers of one essential matrix; cam_b_from_cam_a rotation (3, 3), None without
-    cameras;
-    shift (2,) median motion of the inliers from a to b as a share of the image width and height; matches (inliers, 2)
-    u2 rows of a and of b."""
+    cameras; shift (2,) median motion of the inliers from a to b as a share of the image width and height; matches
+    (inliers, 2) u2 rows of a and of b."""
 
     inliers: int
     rotation: np.ndarray | None = None
@@ -98,7 +97,10 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     shown = contrast(gray, tuning.contrast)
     small, lit = (g if scale == 1.0 else cv2.resize(g, size, interpolation=cv2.INTER_AREA)
                   for g in (gray, evened(gray, tuning.contrast, shown)))  # fmt: skip
-    use = None if mask is None else _small_mask(mask, size, tuning.preview)
+    use = None
+    if mask is not None:
+        share = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
+        use = np.where(share >= 255 * tuning.preview.min_used, 255, 0).astype(np.uint8)
     points, descriptors = _spread_sift(lit, use, settings, tuning)
     # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
@@ -114,11 +116,6 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
         contrast=shown,
         shares=shares,
     )
-
-
-def _small_mask(mask: np.ndarray, size: tuple[int, int], tuning: PreviewTuning) -> np.ndarray:
-    share = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-    return np.where(share >= 255 * tuning.min_used, 255, 0).astype(np.uint8)
 
 
 def _spread_sift(

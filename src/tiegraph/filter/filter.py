@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.filter.bearings import Matches, forget
-from tiegraph.filter.loops import Map, by_loops
+from tiegraph.filter.loops import Map, Matches, by_loops, forget
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms
@@ -125,18 +124,20 @@ def filter_pairs(
         return Filtering(pairs, np.zeros(len(pairs), bool), counts, notes=("no pair was tested",), tables={})
     forget()
     matches = Matches.of(database, scene, tuning.matches_a_pair)
-    judged = Judged.none(len(kept)) if prior is None else _by_prior(scene, kept, matches, prior, tuning, run_map)
-    others = np.flatnonzero(~judged.asked)
+    asked, refused, notes = np.zeros(len(kept), bool), np.zeros(len(kept), bool), ()
+    if prior is not None:
+        asked, refused, notes = _by_prior(scene, kept, matches, prior, tuning.prior, run_map)
+    others = np.flatnonzero(~asked)
     by_rotation = by_loops(scene, kept.where(others), matches, settings, tuning.loops, run_map)
     forget()
-    refused, undecided = judged.refused.copy(), np.zeros(len(kept), bool)
+    undecided = np.zeros(len(kept), bool)
     refused[others], undecided[others], said = by_rotation
     gone = int(refused.sum())
     return Filtering(
         pairs=pairs.drop(_in_table(pairs, refused), "repeat"),
         undecided=_in_table(pairs, undecided),
         counts={"pairs": len(kept), "kept": len(kept) - gone, "refused": gone, "undecided": int(undecided.sum())},
-        notes=(*judged.notes, *said),
+        notes=(*notes, *said),
         tables={"camera pairs": _table(scene, kept, refused)},
     )
 
@@ -148,35 +149,27 @@ def _in_table(pairs: Pairs, of_kept: np.ndarray) -> np.ndarray:
     return out
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Of each pair (P,) bool whether the coarse model judges it, and whether it refuses it; notes."""
+def _by_prior(
+    scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning: PriorTuning, run_map: Map
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Of each pair (P,) bool whether a rough model judges it, and whether it refuses it; notes.
 
-    asked: np.ndarray
-    refused: np.ndarray
-    notes: tuple[str, ...] = ()
-
-    @staticmethod
-    def none(count: int, *notes: str) -> "Judged":
-        """Of a model that is not used."""
-        return Judged(*np.zeros((2, count), bool), notes=notes)
-
-
-def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning: Tuning, run_map: Map) -> Judged:
-    """Judgement of pairs by a rough model; one that contradicts many of them is not used, and neither is the relative
-    pose of two parts of it if it contradicts all pairs between them."""
-    prior, own = held_by_rig(prior, scene, tuning.prior), tuning.prior
+    A model that contradicts many pairs is not used, and neither is the relative pose of two parts of it if it
+    contradicts all pairs between them.
+    """
+    prior = held_by_rig(prior, scene, tuning)
     known = prior.known()
+    asked, refused = np.zeros((2, len(pairs)), bool)
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
     if not len(rows):
-        return Judged.none(len(pairs))
+        return asked, refused, ()
     ends = np.stack([pairs.i[rows], pairs.j[rows]])
-    wrong = np.array(run_map(agreement, ends.T.tolist(), matches, prior, own)) < own.min_share
+    wrong = np.array(run_map(agreement, ends.T.tolist(), matches, prior, tuning)) < tuning.min_share
     said = f"the coarse model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
-    if wrong.mean() > own.max_refused:
-        return Judged.none(len(pairs), f"{said}: too few, so it is not used")
+    if wrong.mean() > tuning.max_refused:
+        return asked, refused, (f"{said}: too few, so it is not used",)
     asked_of, wrong_of = (np.bincount(e.ravel(), minlength=len(known)) for e in (ends, ends[:, wrong]))
-    misplaced = wrong_of > own.max_refused_image * asked_of
+    misplaced = wrong_of > tuning.max_refused_image * asked_of
     if misplaced.any():
         said += f"; it has {int(misplaced.sum())} images at a wrong place, whose pairs it does not judge"
         placed = ~misplaced[ends].any(axis=0)
@@ -186,10 +179,9 @@ def _by_prior(scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning
     if alone.any():
         said += f"; {int(alone.sum())} of the others are the only ties of parts of it, and are not refused by it"
         rows, wrong = rows[~alone], wrong[~alone]
-    asked, refused = np.zeros((2, len(pairs)), bool)
     asked[rows] = True
     refused[rows[wrong]] = True
-    return Judged(asked, refused, (said,))
+    return asked, refused, (said,)
 
 
 def _table(scene: Scene, kept: Pairs, refused: np.ndarray) -> dict:

@@ -1,4 +1,5 @@
-"""Pairs whose rotation contradicts that of all others.
+"""Pairs whose rotation contradicts that of all others, by their matches as bearing vectors, which are read from
+COLMAP's database pair by pair, in whichever process needs them.
 
 Each pair gives the rotation between its images, and if the rig is known, between its frames. All together determine the
 rotation of every frame. A deviating pair is refused if closed loops determine the rotation of its frames without it,
@@ -15,6 +16,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,49 +26,102 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from tiegraph.filter.bearings import Matches
+from tiegraph.errors import InputError
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import LoopTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import cross
+from tiegraph.scene.colmapdatabase import Rows
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.regular import cached_by_file
+from tiegraph.scene.rig import camera_from_dict, camera_to_dict, pixel_rays
 from tiegraph.scene.scene import Scene
+
+_CACHED_IMAGES = 512  # of about 100 kB each, in every worker
+
+Camera = tuple[tuple[str, object], ...]  # items of ``camera_to_dict``, so that rays can be cached by it
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The verified matches of a database, in a form that can be sent to other processes: the camera of each sensor, and
+    the sensor (N,) of each image; of a pair at most ``most`` matches are read, spread evenly."""
+
+    database: str
+    cameras: tuple[Camera, ...]
+    sensor: np.ndarray
+    most: int
+
+    @staticmethod
+    def of(database: Path, scene: Scene, most: int) -> Matches:
+        """Those of a scene. Raises InputError for a sensor without a camera."""
+        cameras = []
+        for k, sensor in enumerate(scene.all_sensors):
+            if sensor.camera is None:
+                raise InputError(f"sensor {k} has no camera: no image of it was found, remove it from the rig")
+            said = camera_to_dict(sensor.camera) or {}
+            cameras.append(tuple(sorted((n, tuple(v) if isinstance(v, list) else v) for n, v in said.items())))
+        return Matches(str(database), cameras=tuple(cameras), sensor=np.asarray(scene.sensor_key), most=most)
+
+    def rays(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """Unit rays (K, 3), (K, 3) of the matches of images i and j in the frames of their sensors."""
+        matches = _connection(self.database).verified_of(i + 1, j + 1)
+        if len(matches) > self.most:
+            matches = matches[np.linspace(0, len(matches) - 1, self.most).astype(int)]
+        rays = (_rays(self.database, k, self.cameras[self.sensor[k]]) for k in (i, j))
+        first, second = (own[matches[:, side]] for side, own in enumerate(rays))
+        return first, second
+
+    def focal_px(self) -> float:
+        """Mean focal length."""
+        return float(np.mean([_camera(c).mean_focal_length() for c in self.cameras]))
+
+
+def _camera(camera: Camera) -> pycolmap.Camera:
+    made = camera_from_dict(dict(camera))
+    assert made is not None
+    return made
+
+
+@cached_by_file(maxsize=2)
+def _connection(database: str) -> Rows:
+    return Rows(Path(database), any_thread=True)
+
+
+@cached_by_file(maxsize=_CACHED_IMAGES)
+def _rays(database: str, image: int, camera: Camera) -> np.ndarray:
+    """(K, 3) unit rays of an image's key points in the sensor frame."""
+    points = _connection(database).keypoints_of(image + 1)
+    return np.nan_to_num(pixel_rays(_camera(camera), points)) if len(points) else np.zeros((0, 3))
+
+
+def forget() -> None:
+    """Close the database and drop cached rays of this process."""
+    _connection.cache_clear()
+    _rays.cache_clear()
+
 
 _SEED = 0
 
 Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the order of the items
 
 
-@dataclass(frozen=True)
-class RotationAverage:
-    """Rotations of U units and the residuals of E edges."""
-
-    unit_from_world: np.ndarray  # (U, 3, 3)
-    residual_deg: np.ndarray  # (E,) edge against the rotations; NaN without a rotation
-    reliable: np.ndarray  # (E,) bool: the ends are connected by closed loops of three without this edge
-
-    def predicted(self, m: int, n: int) -> np.ndarray:
-        """n_from_m (3, 3)."""
-        return self.unit_from_world[n] @ self.unit_from_world[m].T
-
-
 def average(
     units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float, tuning: LoopTuning
-) -> RotationAverage:
-    """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); one of weight 0 has none and is only judged."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); one of weight 0 has none and is only judged.
+
+    Returns unit_from_world (U, 3, 3); of each edge the angle against these rotations in degrees, NaN without one of
+    its own, and whether its ends are connected by closed loops of three without it.
+    """
     there = np.flatnonzero(weight > 0)
-    rotation = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg, tuning.voters).join()
-    rotation = _polished(rotation, ends[there], rotations[there], weight[there], tuning)
+    edges, own = ends[there], rotations[there]
+    rotation = _Clusters(units, edges, own, weight[there], bound_deg, tuning.voters).join()
+    rotation = _polished(rotation, edges, own, weight[there], tuning)
     residual = np.full(len(ends), np.nan)
-    residual[there] = _angles(rotation, ends[there], rotations[there])
-    agreeing = np.zeros(len(ends), bool)
-    agreeing[there] = residual[there] < bound_deg
-    return RotationAverage(rotation, residual, _reliable(units, ends, agreeing))
-
-
-def _angles(rotation: np.ndarray, ends: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    predicted = rotation[ends[:, 1]] @ np.swapaxes(rotation[ends[:, 0]], 1, 2)
-    return transforms.angle_deg(predicted, rotations)
+    predicted = rotation[edges[:, 1]] @ np.swapaxes(rotation[edges[:, 0]], 1, 2)
+    residual[there] = transforms.angle_deg(predicted, own)
+    return rotation, residual, _reliable(units, ends, residual < bound_deg)
 
 
 class _Clusters:
@@ -185,47 +240,42 @@ def by_loops(
     support = np.array([explained for _, explained in found], int)
     rotation = np.array([turn for turn, _ in found]).reshape(-1, 3, 3)
     rotation = np.swapaxes(turned[j], 1, 2) @ rotation @ turned[i]  # of the units
-    near = _neighbours(scene, scene.frame[i], scene.frame[j], tuning.neighbour_steps)
+    a, b = scene.frame[i], scene.frame[j]
+    apart = np.abs(scene.sequence_index[a].astype(int) - scene.sequence_index[b])
+    near = (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (apart <= tuning.neighbour_steps)
     weight = np.minimum(support, tuning.votes_a_pair) * np.where(near, tuning.neighbour_weight, 1.0)
     used, ends = np.unique(np.stack([unit[i], unit[j]], axis=1), return_inverse=True)
     ends = ends.reshape(-1, 2)
-    loops = average(len(used), ends, rotation, weight, settings.max_loop_deg, tuning)
-    told = np.isfinite(loops.residual_deg) & loops.reliable
+    averaged, residual_deg, reliable = average(len(used), ends, rotation, weight, settings.max_loop_deg, tuning)
+    told = np.isfinite(residual_deg) & reliable
     basis = told & near if np.any(told & near) else told
-    spread = float(np.median(loops.residual_deg[basis])) if basis.any() else 0.0
+    spread = float(np.median(residual_deg[basis])) if basis.any() else 0.0
     tolerance = max(settings.max_loop_deg, tuning.sigmas * spread)
-    off = (weight > 0) & ~(loops.residual_deg < tolerance)
+    off = (weight > 0) & ~(residual_deg < tolerance)
     refused, undecided = (np.zeros(len(pairs), bool) for _ in range(2))
-    undecided[outside] = off & ~loops.reliable
+    undecided[outside] = off & ~reliable
     notes = []
     if undecided.any():
         notes.append(f"{int(undecided.sum())} pairs contradict others, but no loops decide: kept")
     if tolerance > tuning.noisy_deg:
         said = f"rotations of pairs contradict each other by {spread:.1f} deg (median): focal lengths, or the rig, are"
         return refused, undecided, (f"{said} probably wrong. No pair was refused", *notes)
-    doubtful = np.flatnonzero(off & loops.reliable)
-    asked = [
-        (int(i[k]), int(j[k]), turned[j[k]] @ loops.predicted(*ends[k].tolist()) @ turned[i[k]].T) for k in doubtful
-    ]
+    doubtful = np.flatnonzero(off & reliable)
+    predicted = averaged[ends[doubtful, 1]] @ np.swapaxes(averaged[ends[doubtful, 0]], 1, 2)
+    predicted = turned[j[doubtful]] @ predicted @ np.swapaxes(turned[i[doubtful]], 1, 2)
+    asked = list(zip(i[doubtful].tolist(), j[doubtful].tolist(), predicted))
     agree = np.array(run_map(agreeing, asked, matches, bound, tuning), int)
     refused[outside[doubtful]] = agree < tuning.as_good * support[doubtful]
     return refused, undecided, tuple(notes)
 
 
 def _units(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) units with one rotation: the frame, or a single image if its pose in the rig is unknown; (N, 3, 3)
-    rotation sensor_from_unit of each image."""
+    """(N,) units of one rotation (a frame, or an image of unknown mounting); (N, 3, 3) sensor_from_unit."""
     poses = [s.sensor_from_rig for s in scene.all_sensors]
     known = np.array([p is not None for p in poses])[scene.sensor_key] | (scene.sensor == 0)
     unit = np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
     turned = np.stack([np.eye(3) if p is None else p[:3, :3] for p in poses])
     return unit, turned[scene.sensor_key]
-
-
-def _neighbours(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.ndarray:
-    """(K,) bool: frames of one pass at most so many steps apart."""
-    apart = np.abs(scene.sequence_index[a].astype(int) - scene.sequence_index[b])
-    return (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (apart <= steps)
 
 
 def pair_rotation(

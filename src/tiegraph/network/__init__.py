@@ -5,7 +5,7 @@ four steps:
 
 1. Previews are matched on a coarse grid of frames (``scorematrix``) for every pair of cameras and passes, smoothed
 and interpolated (``offsets``); by retrieval for loops and loose photographs (``retrieval``); by prior poses if there
-are any (``poses``, checked by previews in ``poses.check``).
+are any (``poses``, checked by previews in ``posecheck``).
 2. The best pairs of each image make a coarse model of the survey (``coarse.search`` chooses them and judges the
 result; the stage coarse maps them with the mapper and rig of the later stages).
 3. Its poses and points predict the surface that every two images share (``coarse.visible``). The prediction replaces
@@ -16,10 +16,7 @@ and the receipt says so.
 The stages are ``candidates.find_candidates`` (1), ``coarse.search.Search`` (2 to 4) and ``network.join_network``.
 
 One limit, ``axes_deg``, holds for the axes of cameras before there is a model, and for the views of a shared surface
-after that. Only the test of the model (``coarse.trust``) asks for less than 90 degrees, because a strong preview of
-steeper views shows another wall. ``coarse.visible`` also serves prior poses, with points at an assumed range (paper
-003): ten times the distance between frames. That distance is the median weighted by length (half of the path was
-travelled in steps at least as long), so that a vehicle that stands does not reduce the range.
+after that. ``coarse.visible`` also serves prior poses, with points at an assumed range (paper 003).
 
-Sources of pairs are functions found by name in ``sources.SOURCES``.
+Sources of pairs are functions found by name in ``candidates.SOURCES``.
 """

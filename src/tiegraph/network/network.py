@@ -6,22 +6,21 @@ image across the base is known relative to the other to distance / (focal length
 does not hold for a whole network, whose images tie in many ways.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, umeyama
+from tiegraph.network.axes import allowed_within
 from tiegraph.network.passes import Pass, find_passes
-from tiegraph.network.sections.light import UpLight
-from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, split
+from tiegraph.network.sections import SectionResult, UpLight, find_sections, join_places, split, whole_survey
 from tiegraph.network.settings import CandidatesSettings, NetworkSettings
-from tiegraph.network.sources import axes_count, axes_pairs
-from tiegraph.network.tuning import SectionsTuning, Tuning
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene, of_frames
 
 _PAIRS_AT_ONCE = 20_000  # pairs whose points are looked up at once: bounds the memory
@@ -54,21 +53,19 @@ def join_network(
     pairs: Pairs,
     scene: Scene,
     ties: PreviewMatches,
-    light: UpLight | np.ndarray,
+    light: UpLight,
     settings: tuple[CandidatesSettings, NetworkSettings],
     tuning: Tuning,
 ) -> Network:
     """The network of the pairs from candidates and the coarse model: pairs that the axes of the cameras exclude are
-    listed, previewed pairs have their counts, and the survey is cut into sections.
-
-    ``light``: cues of up cameras, or the mean grey value (N,) of each image alone.
-    """
+    listed, previewed pairs have their counts, and the survey is cut into sections by the ``light`` of up cameras."""
     asked, own = settings
     notes: list[str] = []
     if asked.uses_axes():
         pairs, notes = _with_axes(pairs, scene, find_passes(scene), asked)
     pairs = pairs.with_(score=np.where(np.isnan(pairs.score), ties.known(pairs.i, pairs.j), pairs.score))
-    cut = _sections(scene, light, pairs, own, tuning.sections)
+    cut = find_sections(scene, find_passes(scene), light, tuning.sections)
+    cut = whole_survey(scene, cut.cues) if own.sections == "off" else join_places(cut, scene, pairs, tuning.sections)
     scene = scene.with_(section=cut.of_frame)
     if own.sections == "meguro2025" and len(cut.sections) > 1:
         pairs = split(pairs, scene)
@@ -92,31 +89,27 @@ def _with_axes(
     pairs: Pairs, scene: Scene, passes: tuple[Pass, ...], settings: CandidatesSettings
 ) -> tuple[Pairs, list[str]]:
     """The pairs with those of one pass that the axes exclude, except pairs that share surface in the model."""
-    count = axes_count(passes, settings)
+    count = 0
+    excluded = [np.triu(~allowed_within(p.rig, settings.axes_deg), 1) for p in passes]
+    for p, cameras in zip(passes, excluded):
+        there = np.sum(p.images >= 0, axis=1)
+        count += int(there @ cameras @ there)
     if not count:
         return pairs, []
     said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not matched"
     if len(scene) > _AXES_LISTED:
         return pairs, [f"{said} (not listed one by one)"]
-    apart = axes_pairs(passes, settings)
+    ends = [np.zeros((2, 0), int)]
+    for p, cameras in zip(passes, excluded):
+        for c, d in np.argwhere(cameras):
+            left, right = np.repeat(p.images[c], len(p)), np.tile(p.images[d], len(p))
+            ends.append(np.stack([left, right])[:, (left >= 0) & (right >= 0)])
+    i, j = np.concatenate(ends, axis=1)
+    apart = Pairs.make(i, j, "offsets", dropped=np.full(len(i), REASONS.index("axes")))
     found = int(apart.isin(pairs.kept()).sum())
-    more = (
-        (f", except for {found} whose rays to the shared surface meet at a smaller angle in the coarse model")
-        if found
-        else ""
-    )
-    return pairs | apart, [said + more]
-
-
-def _sections(
-    scene: Scene, light: UpLight | np.ndarray, pairs: Pairs, settings: NetworkSettings, tuning: SectionsTuning
-) -> SectionResult:
-    passes = find_passes(scene)
-    found = find_sections(scene, passes, light, tuning)
-    if settings.sections == "off":
-        whole = Section("whole survey", "open", tuple(range(scene.frames)))
-        return replace(found, sections=(whole,), of_frame=np.zeros(scene.frames, int), threshold=float("nan"), notes=())
-    return join_places(found, scene, pairs, tuning)
+    if found:
+        said += f", except for {found} whose rays to the shared surface meet at a smaller angle in the coarse model"
+    return pairs | apart, [said]
 
 
 def with_bases(pairs: Pairs, scene: Scene, visibility: Visibility) -> Pairs:

@@ -1,4 +1,5 @@
-"""Passes as tables of images: which image a sensor took in the k-th frame of a pass."""
+"""Passes as tables of images (which image a sensor took in the k-th frame of a pass), the previews matched so far, and
+what a source of pairs is given and gives."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.network.settings import CandidatesSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 MatchFunction = Callable[[np.ndarray], Sequence[Any]]  # pairs (P, 2) -> P features.preview.PreviewMatch
+Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
 
 
 @dataclass(frozen=True)
@@ -33,8 +38,7 @@ def find_passes(scene: Scene) -> tuple[Pass, ...]:
     numbered together."""
     found = []
     ids = sorted({(int(t), int(r)) for t, r in zip(scene.sequence, scene.rig) if t >= 0})
-    image_of = np.full((scene.frames, max((len(r.sensors) for r in scene.rigs), default=1)), -1, np.int32)
-    image_of[scene.frame, scene.sensor] = np.arange(len(scene))
+    image_of = image_table(scene)
     for sequence, rig in ids:
         frames = scene.in_order((scene.sequence == sequence) & (scene.rig == rig))
         images = image_of[frames, : len(scene.rigs[rig].sensors)].T
@@ -47,9 +51,22 @@ def find_passes(scene: Scene) -> tuple[Pass, ...]:
     return tuple(found)
 
 
+def image_table(scene: Scene) -> np.ndarray:
+    """(F, S) i4 image of each sensor of a frame's rig, -1 = none."""
+    table = np.full((scene.frames, max((len(r.sensors) for r in scene.rigs), default=1)), -1, np.int32)
+    table[scene.frame, scene.sensor] = np.arange(len(scene))
+    return table
+
+
 def loose_images(scene: Scene) -> np.ndarray:
     """Indices of the images that belong to no pass."""
     return np.flatnonzero(scene.sequence[scene.frame] < 0)
+
+
+def places(own: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """(K,) places of the asked numbers (K,) among own sorted ones; -1 = not there."""
+    at = np.minimum(np.searchsorted(own, asked), max(len(own) - 1, 0))
+    return np.where(own[at] == asked, at, -1) if len(own) else np.full(len(asked), -1)
 
 
 class MatchCache:
@@ -75,7 +92,7 @@ class MatchCache:
     def measure(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Inliers (K,) f4 of image pairs (K,), (K,)."""
         asked = np.unique(self._key(np.asarray(i), np.asarray(j)))
-        new = asked[~self._has(asked)]
+        new = asked[places(self._keys, asked) < 0]
         if len(new):
             self._remember(new, self._matched(new))
         return self.known(i, j)
@@ -86,7 +103,7 @@ class MatchCache:
         keys = self._key(np.asarray(i), np.asarray(j))
         unique, place = np.unique(keys, return_inverse=True)
         found = self._matched(unique)
-        new = ~self._has(unique)
+        new = places(self._keys, unique) < 0
         self._remember(unique[new], [r for r, n in zip(found, new) if n])
         return [found[k] for k in place]
 
@@ -102,17 +119,8 @@ class MatchCache:
 
     def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Inliers (K,) f4 of image pairs; NaN = not measured."""
-        keys = self._key(np.asarray(i), np.asarray(j))
-        there, out = self._has(keys), np.full(len(keys), np.nan, np.float32)
-        out[there] = self._counts[np.searchsorted(self._keys, keys[there])]
-        return out
-
-    def _has(self, keys: np.ndarray) -> np.ndarray:
-        """(K,) bool: which pairs are known."""
-        if not len(self._keys):
-            return np.zeros(len(keys), bool)
-        at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        return self._keys[at] == keys
+        row = places(self._keys, self._key(np.asarray(i), np.asarray(j)))
+        return np.append(self._counts, np.float32(np.nan))[row]
 
     def matches(self) -> PreviewMatches:
         """The matches of all measured pairs."""
@@ -123,3 +131,53 @@ class MatchCache:
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All measured pairs: i (K,), j (K,), inliers (K,)."""
         return self._keys // self._images, self._keys % self._images, self._counts
+
+
+@dataclass(frozen=True)
+class Context:
+    """The input of a source."""
+
+    scene: Scene
+    passes: tuple[Pass, ...]
+    cache: MatchCache
+    settings: CandidatesSettings
+    tuning: Tuning
+    descriptors: Descriptors | None = None  # of all previews; None = no retrieval
+
+
+@dataclass(frozen=True)
+class OffsetCurve:
+    """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
+
+    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether
+    the camera pair gave candidates.
+    """
+
+    pass_a: str
+    pass_b: str
+    sensor_a: str
+    sensor_b: str
+    offsets: np.ndarray
+    votes: np.ndarray
+    best: int
+    accepted: bool
+    reversed: bool
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The pairs that a source proposes, and notes."""
+
+    pairs: Pairs
+    notes: tuple[str, ...] = ()
+    curves: tuple[OffsetCurve, ...] = ()
+    apart: bool = False  # according to the images the poses of different passes are not in one world
+    stranger: str = ""  # the pair of passes, if it has no common view
+
+    def __or__(self, other: "Proposal") -> "Proposal":
+        return Proposal(
+            pairs=self.pairs | other.pairs,
+            notes=self.notes + other.notes,
+            curves=self.curves + other.curves,
+            apart=self.apart or other.apart,
+        )

@@ -6,7 +6,7 @@ Masks (section b): what differs little between two images of a camera is the pla
 way out and the way back, one frame offset is voted on sampled frames, and the best matching image around it is listed.
 Mapping (section d): COLMAP, by the masks and the list, with nothing known of the rig. Its baseline (section a) and that
 of paper 001 (section c) is brute force without masks. The constants that the paper does not print are
-``masks.tuning.Meguro2024Tuning`` and ``network.tuning.offsets.ConstantTuning``.
+``masks.tuning.Meguro2024Tuning`` and ``network.tuning.ConstantTuning``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,10 +24,10 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import Camera, MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.offsets.curves import Proposal, curves_of, facing, votes_of
-from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig import axes
-from tiegraph.network.rig.axes import allowed_within
+from tiegraph.network import axes
+from tiegraph.network.axes import allowed_within
+from tiegraph.network.offsets import curves_of, facing, votes_of
+from tiegraph.network.passes import MatchCache, Pass, Proposal
 from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
@@ -114,7 +114,7 @@ def _vote_constant(
 ) -> tuple[ScoreMatrix, tuple[str, ...]]:
     every = max(1, -(-len(q) // tuning.offsets.constant.max_columns))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
-    empty = score_matrix(p, q, every, allowed, tuning.offsets.scores)
+    empty = score_matrix(p, q, every, allowed, tuning.offsets)
     rows = evenly(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
     scores = replace(empty, rows=rows, inliers=np.full(shape, np.nan, np.float32))

@@ -22,7 +22,7 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each, nothing
 from tiegraph.masks.tuning import Meguro2025Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.sections.light import UpLight, otsu
+from tiegraph.network.sections import UpLight, otsu
 from tiegraph.papers import colmap_alone
 from tiegraph.scene.scene import Scene
 

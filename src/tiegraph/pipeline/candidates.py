@@ -9,8 +9,7 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.network.candidates import find_candidates
-from tiegraph.network.offsets.curves import curves_csv
-from tiegraph.network.offsets.offsets import OFFSETS
+from tiegraph.network.offsets import OFFSETS, curves_csv
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import save_npz, scanned
 from tiegraph.pipeline.preview import Matcher, read_preview

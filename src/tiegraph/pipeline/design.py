@@ -7,10 +7,18 @@ from typing import Any
 import numpy as np
 
 from tiegraph import papers
-from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_across
+from tiegraph.design.coverage import (
+    Coverage,
+    CoveredSurface,
+    coverage,
+    on_few_points,
+    surface_map,
+    surface_png,
+    unknown_across,
+    weak_places,
+)
 from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
-from tiegraph.design.surface import CoveredSurface, surface_map, surface_png, weak_places
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
 from tiegraph.pipeline.files import checked, load_npz, load_scene, pairs_of, save_npz, ties_of, visibility_of

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.child import cores
-from tiegraph.features.match import match_pairs
-from tiegraph.features.matchblocks import Rules, Side
+from tiegraph.features.matchblocks import Rules, Side, match_pairs
 from tiegraph.gpu import on_gpu
 from tiegraph.pipeline.files import checked, pairs_of, save_npz
 from tiegraph.project.run import Run

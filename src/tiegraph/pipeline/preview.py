@@ -10,7 +10,7 @@ from tiegraph import papers
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning, Tuning
-from tiegraph.network.sections.light import LIGHTS, UpLight
+from tiegraph.network.sections import LIGHTS, UpLight
 from tiegraph.pipeline.files import load_as, load_scene, read_image, read_mask, save_npz, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome

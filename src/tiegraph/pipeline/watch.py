@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from tiegraph.child import end_helpers
-from tiegraph.design.surface import VERDICTS
+from tiegraph.design.coverage import VERDICTS
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import load_npz, save_npz

@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from tiegraph.child import run_in_child
-from tiegraph.design.surface import VERDICTS, SurfaceMap, WeakPlace, surface_map, weak_places
+from tiegraph.design.coverage import VERDICTS, SurfaceMap, WeakPlace, surface_map, weak_places
 from tiegraph.errors import TiegraphError
 from tiegraph.features.preview import extract_preview, match_previews
 from tiegraph.geometry import transforms
+from tiegraph.network.candidates import Context, sequence
 from tiegraph.network.coarse.model import with_surface
+from tiegraph.network.loose import nearest_images, supported
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
-from tiegraph.network.retrieval.loose import supported
-from tiegraph.network.retrieval.retrieval import nearest_images
-from tiegraph.network.sources import Context, sequence
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.resect import resect
 from tiegraph.odometry.tuning import PoseTuning

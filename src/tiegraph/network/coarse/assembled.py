@@ -1,21 +1,16 @@
 """The coarse model of a survey of any size: mapped whole, or in blocks that are joined by the images they share.
 
 A model is made roughly (few tracks, no final adjustment): accurate to decimetres, which is enough to choose pairs and
-to start from. Time grows linearly with the images. A survey of some hundred images is mapped as a whole. Beyond that,
-``scene.blocks`` cuts the graph of frames into blocks that keep both passes of a place together and share the frames
-at their borders. Each block is mapped separately, and ``scene.joining`` puts the models into one frame by their
-shared images. Joins that the shared images or the other joins contradict are refused and reported. If two blocks
-place a group of images differently, the ties that hold it there are found (``false_ties``), and the next try is made
-without them. Components that cannot be joined in the end are judged separately, and the match counts decide between
-them. The previews of an image are bounded (``offsets``), pairs that the axes exclude are counted and not listed, and
-no process holds the previews of all images.
+to start from. A survey of some hundred images is mapped as a whole. Beyond that, ``scene.blocks`` cuts the graph of
+frames into blocks that keep both passes of a place together and share the frames at their borders, and
+``scene.joining`` puts their models into one frame. Joins that the shared images or the other joins contradict are
+refused and reported; components that cannot be joined are judged separately, and the match counts decide between them.
 
-Finding false ties where two blocks of the coarse model disagree: a block whose two passes were tied by a wall similar
-to the right one has one pass in a wrong place, without any residual of its own. The images shared with a neighbouring
-block then fall into two groups: each has the same shape in both models, but not the same relative position. One of
-the blocks must be wrong. In each of them, the smallest set of points that connects the two groups is found (minimum
-cut; consecutive frames are never separated). The block with the smaller set is taken as wrong, as in ``trust``, and
-the ties behind these points as false.
+A block whose two passes were tied by a wall similar to the right one has one pass in a wrong place, without any
+residual of its own. The images shared with a neighbouring block then fall into two groups: each has the same shape in
+both models, but not the same relative position. In each of the blocks the smallest set of points that connects the two
+groups is found (minimum cut; consecutive frames are never separated). The block with the smaller set is taken as wrong,
+the ties behind these points as false (``false_ties``), and the next try is made without them.
 """
 
 from collections.abc import Sequence
@@ -26,8 +21,7 @@ from scipy.sparse import coo_array, csr_array
 
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.trust import near_frames
-from tiegraph.network.tuning.coarse import CoarseTuning
+from tiegraph.network.tuning import CoarseTuning
 from tiegraph.scene.blocks import Block
 from tiegraph.scene.graph import cheapest_cut, parts
 from tiegraph.scene.joining import Join, JoinResult, Poses, join, join_models, moved
@@ -60,7 +54,10 @@ def assembled(
     if is_whole(blocks, scene):
         return Assembled(tuple(m for m in models if m is not None and m.placed().any()))
     made = [(b, m) for b, m in zip(blocks, models) if m is not None and m.placed().any()]
-    poses = [_poses(block, model) for block, model in made]
+    poses = []
+    for block, model in made:
+        there, far = model.placed(), np.nanmedian(model.reach()[:, 1]) if len(model.point) else np.nan
+        poses.append(Poses(block.images[there], model.cam_from_world[there], float(far) if np.isfinite(far) else 1.0))
     joined = join_models(poses, joining)
     whose = _whose(scene, made, joined.part)
     found = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
@@ -77,15 +74,8 @@ def is_whole(blocks: Sequence[Block], scene: Scene) -> bool:
     return len(blocks) == 1 and len(blocks[0]) == len(scene)
 
 
-def _poses(block: Block, model: CoarseModel) -> Poses:
-    there = model.placed()
-    far = np.nanmedian(model.reach()[:, 1]) if len(model.point) else np.nan
-    return Poses(block.images[there], model.cam_from_world[there], float(far) if np.isfinite(far) else 1.0)
-
-
 def _whose(scene: Scene, made: Sequence[tuple[Block, CoarseModel]], part: np.ndarray) -> np.ndarray:
-    """(N,) the model from which each image is taken: that of the block that owns it, else of a block that shares and
-    places it, in the largest component; -1 = none places it."""
+    """(N,) model that gives each image: its block's, else one of the largest component that shares it; -1 = none."""
     out = np.full(len(scene), -1)
     order = np.argsort(-part, kind="stable")  # the last assignment wins
     for lent in (True, False):
@@ -98,8 +88,7 @@ def _whose(scene: Scene, made: Sequence[tuple[Block, CoarseModel]], part: np.nda
 def _together(
     scene: Scene, made: Sequence[tuple[Block, CoarseModel]], joined: JoinResult, whose: np.ndarray, part: int
 ) -> CoarseModel:
-    """The models of one component in one frame. A point is taken from the model from which most of its observers are
-    taken, so that points seen by two blocks are not doubled."""
+    """The models of one component in one frame; a point is taken from the model that gives most of its observers."""
     poses = np.full((len(scene), 4, 4), np.nan)
     cameras: list = [None] * len(scene)
     points, image, point = [np.zeros((0, 3))], [np.zeros(0, int)], [np.zeros(0, int)]
@@ -132,9 +121,10 @@ def _together(
 
 
 def _rigs(scene: Scene, members: Sequence[tuple[Block, CoarseModel]]) -> tuple[Rig, ...]:
-    """For each rig, the estimate of the block that differs least from those of the other blocks with images of it:
-    blocks are mapped roughly, and one of ten had a camera rotated by 10 deg. Among equals, the block with most images
-    of the rig."""
+    """Of each rig the estimate that differs least from those of the other blocks; of equal ones that of most images.
+
+    Blocks are mapped roughly, and one of ten had a camera rotated by 10 deg.
+    """
     out = []
     for index, given in enumerate(scene.rigs):
         rig = scene.rig[scene.frame]
@@ -147,8 +137,7 @@ def _rigs(scene: Scene, members: Sequence[tuple[Block, CoarseModel]]) -> tuple[R
 
 
 def _apart(one: Rig, other: Rig) -> float:
-    """Difference of two estimates of a rig: the angles between the mountings of its cameras, and the rotation of a
-    ray at 45 degrees by the difference of focal lengths, added up in radians."""
+    """Difference of two estimates of a rig, radians: of mountings, and of rays at 45 deg by the focal lengths."""
     total = 0.0
     for a, b in zip(one.sensors, other.sensors):
         if a.sensor_from_rig is not None and b.sensor_from_rig is not None:
@@ -163,29 +152,23 @@ def _notes(
     scene: Scene, blocks: Sequence[Block], made: Sequence[tuple[Block, CoarseModel]], joined: JoinResult
 ) -> tuple[str, ...]:
     shared, agree = sum(j.shared for j in joined.joins if j.holds), sum(j.agree for j in joined.joins if j.holds)
-    text = f"coarse model: mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images"
+    text = f"mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images"
     if shared:
         text += f"; {100 * agree / shared:.0f} % of the images shared by two blocks agree"
     out = [text]
     if len(made) < len(blocks):
-        out.append(f"coarse model: {len(blocks) - len(made)} blocks could not be mapped")
+        out.append(f"{len(blocks) - len(made)} blocks could not be mapped")
     torn = [j for j in joined.joins if not j.holds]
     for j in torn[:NAMED]:
         ends = " and ".join(_span(scene, made[k][0]) for k in (j.a, j.b))
-        out.append(
-            f"coarse model: the blocks of {ends} share {j.shared} images, of which {j.agree} agree: they are not "
-            "joined there"
-        )
+        out.append(f"the blocks of {ends} share {j.shared} images, of which {j.agree} agree: they are not joined there")
     if len(torn) > NAMED:
-        out.append(f"coarse model: {len(torn) - NAMED} more pairs of blocks do not agree")
-    parts = len(np.unique(joined.part))
-    if parts > 1:
-        sizes = sorted((int(np.sum(joined.part == k)) for k in range(parts)), reverse=True)
-        out.append(
-            f"coarse model: torn into {parts} components of {', '.join(map(str, sizes))} blocks; between them the "
-            "numbers of preview matches decide"
-        )
-    return tuple(out)
+        out.append(f"{len(torn) - NAMED} more pairs of blocks do not agree")
+    sizes = np.sort(np.unique(joined.part, return_counts=True)[1])[::-1].tolist()
+    if len(sizes) > 1:
+        said = f"torn into {len(sizes)} components of {', '.join(map(str, sizes))} blocks"
+        out.append(f"{said}; between them the numbers of preview matches decide")
+    return tuple(f"coarse model: {said}" for said in out)
 
 
 def _span(scene: Scene, block: Block) -> str:
@@ -197,8 +180,7 @@ def _span(scene: Scene, block: Block) -> str:
     return f"{scene.names[first[order[0]]]} .. {scene.names[first[order[-1]]]}"
 
 
-# --- false ties where two blocks of the coarse model disagree
-# ------------------------------------------------------------
+# ---------------------------------------------------------------- false ties where two blocks disagree
 
 
 def false_ties(
@@ -211,26 +193,24 @@ def false_ties(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Images i, j (K,) of the ties that make blocks disagree. ``poses``: those of the joined models. ``near_steps``:
     frames of a pass closer than this are never separated."""
-    i, j = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    ends = [np.zeros((2, 0), np.int64)]
     for one in joins:
         if one.holds or one.refused:
             continue
-        first, second = (_without(poses[k], one.images) for k in (one.a, one.b))
-        other = join(one.a, one.b, first, second, tuning)
+        others = []  # the poses of images that the join does not explain
+        for whole in (poses[one.a], poses[one.b]):
+            keep = ~np.isin(whole.images, one.images)
+            others.append(Poses(whole.images[keep], whole.cam_from_world[keep], whole.range_))
+        other = join(one.a, one.b, others[0], others[1], tuning)
         if other is None or min(len(one.images), len(other.images)) < tuning.shared:
             continue
         cuts = [cut_between(scene, *made[k], (one.images, other.images), near_steps) for k in (one.a, one.b)]
         found = [c for c in cuts if c is not None]
         if found:
             left, right, _ = min(found, key=lambda c: c[2])
-            i.append(left)
-            j.append(right)
-    return np.concatenate(i), np.concatenate(j)
-
-
-def _without(poses: Poses, images: np.ndarray) -> Poses:
-    keep = ~np.isin(poses.images, images)
-    return Poses(poses.images[keep], poses.cam_from_world[keep], poses.range_)
+            ends.append(np.stack([left, right]))
+    i, j = np.concatenate(ends, axis=1)
+    return i, j
 
 
 def cut_between(
@@ -238,10 +218,18 @@ def cut_between(
 ) -> tuple[np.ndarray, np.ndarray, int] | None:
     """The image pairs i, j (K,) behind the smallest set of points that connects two groups of images in the model of
     a block, and the size of the set; None if consecutive frames connect them, or nothing does."""
-    i, j, points = _shared_points(model)
+    shape = len(model.cam_from_world), len(model.points)
+    sees = csr_array((np.ones(len(model.image), np.int64), (model.image, model.point)), shape=shape)
+    both = coo_array(sees @ sees.T)
+    upper = both.coords[0] < both.coords[1]
+    (i, j), points = (ends[upper] for ends in both.coords), both.data[upper]  # images and how many points both see
     frames, frame = np.unique(scene.frame[block.images], return_inverse=True)
     a, b = frame[i], frame[j]
-    piece = _pieces(scene, frames, np.isin(np.arange(len(frames)), frame[model.placed()]), near_steps)
+    # A section of a pass, or a frame that is not placed, is one piece.
+    at = np.unique(frame[model.placed()])
+    order = at[np.lexsort((scene.sequence_index[frames[at]], scene.rig[frames[at]], scene.sequence[frames[at]]))]
+    near = near_frames(scene, frames[order[:-1]], frames[order[1:]], near_steps)
+    piece = parts(order[:-1][near], order[1:][near], len(frames))
     first, second = (np.unique(piece[frame[np.isin(block.images, group)]]) for group in groups)
     if np.isin(first, second).any():
         return None
@@ -254,20 +242,9 @@ def cut_between(
     return block.images[i[cut]], block.images[j[cut]], int(points[cut].sum())
 
 
-def _pieces(scene: Scene, frames: np.ndarray, placed: np.ndarray, near_steps: int) -> np.ndarray:
-    """(F,) number of the section of a pass that a frame is on; a frame not ``placed`` (F,) is a section of its own."""
-    at = np.flatnonzero(placed)
-    order = at[np.lexsort((scene.sequence_index[frames[at]], scene.rig[frames[at]], scene.sequence[frames[at]]))]
-    before, after = order[:-1], order[1:]
-    near = near_frames(scene, frames[before], frames[after], near_steps)
-    return parts(before[near], after[near], len(frames))
-
-
-def _shared_points(model: CoarseModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Images i < j of the model and the number of points that both see, (K,) each."""
-    shape = len(model.cam_from_world), len(model.points)
-    sees = csr_array((np.ones(len(model.image), np.int64), (model.image, model.point)), shape=shape)
-    both = coo_array(sees @ sees.T)
-    i, j = both.coords
-    upper = i < j
-    return i[upper], j[upper], both.data[upper]
+def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.ndarray:
+    """(K,) bool: frames a, b (K,) differ and are at most this many steps of one pass apart."""
+    same = (
+        (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
+    )
+    return same & (np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= steps)

@@ -6,18 +6,18 @@ are closest to each other.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.proxy import Proxy
-from tiegraph.network.coarse.visible import Overlap, observed_proxy, shared_surface, visible_points
-from tiegraph.network.tuning.coarse import CoarseTuning, TracksTuning
+from tiegraph.network.coarse.proxy import Proxy, observed_proxy
+from tiegraph.network.coarse.visible import Overlap, shared_surface, visible_points
+from tiegraph.network.tuning import CoarseTuning, TracksTuning
 from tiegraph.scene.matches import PreviewMatches, Visibility
-from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, pixel_rays, rig_from_dict, rig_to_dict
+from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict, pixel_rays, rig_from_dict, rig_to_dict
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,9 @@ def with_surface(
     use = np.isfinite(towards).all(axis=1) & ~np.isin(track, track[order[1:][twice]])
     points, off = np.zeros((0, 3)), np.zeros(len(track))
     for _ in range(4):  # a point with more than three wrong rays is dropped
-        use &= ~_worst(track, np.where(use, off, 0.0), tuning.off_deg)
+        off, most = np.where(use, off, 0.0), np.zeros(int(track.max(initial=-1)) + 1)
+        np.maximum.at(most, track, off)
+        use &= (off <= tuning.off_deg) | (off < most[track])  # not the worst of a track
         use &= _held(track, towards, use, tuning)[track]
         points = _nearest(track, centre, np.where(use[:, None], towards, np.nan))
         # (K,) angle between the direction to a point and a ray
@@ -128,16 +130,8 @@ def with_surface(
     return replace(model, points=points[kept], image=image[use], point=point)
 
 
-def _worst(track: np.ndarray, off: np.ndarray, limit: float) -> np.ndarray:
-    """(K,) bool: the ray of each track with the largest error, if that exceeds the limit."""
-    most = np.zeros(int(track.max(initial=-1)) + 1)
-    np.maximum.at(most, track, off)
-    return (off > limit) & (off == most[track])
-
-
 def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """(T,) points nearest to the rays of each track by least squares, (T, 3); NaN rays are not used; arbitrary
-    without rays."""
+    """(T, 3) points nearest to the rays of each track, arbitrary without rays; NaN rays do not count."""
     use, number = np.isfinite(towards).all(axis=1), int(track.max(initial=-1)) + 1
     across = np.eye(3) - towards[use, :, None] * towards[use, None, :]
     normal, right = np.zeros((number, 3, 3)), np.zeros((number, 3))
@@ -156,3 +150,67 @@ def _held(track: np.ndarray, towards: np.ndarray, use: np.ndarray, tuning: Track
     least = np.ones(number)
     np.minimum.at(least, track[use], np.einsum("kc,kc->k", towards[use], mean[track[use]]))
     return (count >= tuning.images) & (least < np.cos(np.radians(tuning.angle_deg / 2)))
+
+
+# ---------------------------------------------------------------- its calibration
+
+
+def turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
+    """(S,) rotation of each nominal mounting in the model, 0 for those that are not nominal or unknown."""
+    out = []
+    for old, new in zip(given, found):
+        for a, b in zip(old.sensors, new.sensors):
+            known = old.nominal and a.sensor_from_rig is not None and b.sensor_from_rig is not None
+            poses = np.stack(
+                [np.eye(4) if not known or p is None else p for p in (a.sensor_from_rig, b.sensor_from_rig)]
+            )
+            out.append(float(transforms.angle_deg(*poses[:, :3, :3])))
+    return np.array(out)
+
+
+def calibrated_rigs(
+    given: Sequence[Rig], found: Sequence[Rig], most_focal: float, loose: np.ndarray | None = None
+) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
+    """Rigs with guessed values replaced by those of the model: cameras that were not calibrated, and the rotations of
+    a nominal rig (its centres nearly coincide, so the model cannot determine its lever arms). ``most_focal``: factor
+    by which a focal length of a data sheet may be corrected. Sensors that are ``loose`` (S,) in the model stay as
+    given."""
+    rigs, notes = [], []
+    held = iter(np.zeros(sum(len(r.sensors) for r in given), bool) if loose is None else loose)
+    for old, new in zip(given, found):
+        sensors, turned = [], []
+        for a, b in zip(old.sensors, new.sensors):
+            if next(held):
+                sensors.append(a)
+                continue
+            camera = _better_camera(a.camera, b.camera, old.fixed, most_focal)
+            extrinsics = a.sensor_from_rig
+            if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
+                centre = transforms.centre(extrinsics)
+                rotation = b.sensor_from_rig[:3, :3]
+                turned.append(transforms.angle_deg(extrinsics[:3, :3], rotation))
+                extrinsics = transforms.rigid(rotation, -rotation @ centre)
+            elif extrinsics is None:
+                extrinsics = b.sensor_from_rig
+            sensors.append(replace(a, camera=camera, sensor_from_rig=extrinsics))
+        guessed = old.nominal or not old.known()
+        rigs.append(replace(old, sensors=tuple(sensors), nominal=guessed))
+        if turned:
+            notes.append(f"rig {old.name}: its cameras are rotated by up to {max(turned):.2f} deg from nominal")
+    return tuple(rigs), tuple(notes)
+
+
+def _better_camera(
+    given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool, most_focal: float
+) -> pycolmap.Camera | None:
+    """The camera used from here on. A focal length of a data sheet or of EXIF is accurate to some per cent and does not
+    include principal point and distortion; at the side of an image that exceeds the degree that ``filter`` allows."""
+    if given is None or found is None:
+        return given
+    if not given.has_prior_focal_length:
+        return found
+    change = found.mean_focal_length() / given.mean_focal_length()
+    if fixed or calibrated(given) or not 1 / most_focal < change < most_focal:
+        return given
+    # It was not calibrated: later stages may adjust it further.
+    return camera_from_dict({**(camera_to_dict(found) or {}), "prior_focal": False})

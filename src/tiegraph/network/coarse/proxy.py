@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import unit_rays
-from tiegraph.network.tuning.coarse import CoarseTuning
+from tiegraph.network.tuning import CoarseTuning
 from tiegraph.scene.rig import on_plane
 
 _LEAF = 64  # points of a box that is tested as a whole
@@ -55,6 +55,11 @@ class View:
             rim = slack / max(self.half, 1e-3)
             inside = np.all((shares >= -rim) & (shares < 1 + rim), axis=1)
         return np.where(inside[:, None], np.clip(shares, 0, 1 - 1e-9), np.nan)
+
+
+def views_of(cameras: Sequence[pycolmap.Camera | None], guessed_view_deg: float) -> dict[int, View]:
+    """The view of each different camera by its ``id``."""
+    return {key: View.of(c, guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
 
 
 @dataclass(frozen=True)
@@ -119,8 +124,8 @@ def assumed_proxy(
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     ranges = np.broadcast_to(np.asarray(range_m, float), (len(cam_from_world),))
-    views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
-    rays = {key: _grid_rays(view, (6, 5)) for key, view in views.items()}
+    views = views_of(cameras, tuning.visible.guessed_view_deg)
+    rays = {key: _grid_rays(view) for key, view in views.items()}
     steps = np.array((0.25, 0.5, 1.0, 2.0))  # in assumed ranges
     centres = transforms.centre(cam_from_world[known])
     points, towards, count = [np.zeros((0, 3))], [np.zeros((0, 3))], []
@@ -140,12 +145,11 @@ def assumed_proxy(
     )
 
 
-def _grid_rays(view: View, size: tuple[int, int]) -> np.ndarray:
-    """(G, 3) unit rays through the centres of a grid of the image, without those that the camera
-    model cannot invert."""
-    u, v = (np.arange(n) + 0.5 for n in size)
-    grid = np.stack(np.meshgrid(u / size[0], v / size[1]), axis=-1).reshape(-1, 2)
-    rays = view.rays(grid)
+def _grid_rays(view: View) -> np.ndarray:
+    """(G, 3) unit rays through the centres of 6 x 5 cells of the image, without those that the camera model cannot
+    invert."""
+    u, v = (np.arange(6) + 0.5) / 6, (np.arange(5) + 0.5) / 5
+    rays = view.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     return rays[np.isfinite(rays).all(axis=1)]
 
 

@@ -3,29 +3,32 @@
 Numbers of preview matches cannot distinguish true ties from repeated walls: on ``canal`` (rendered, repeated facades)
 40 % of the pairs that share nothing reach the count of those that do. Geometry can. The best pairs of each image make
 a small model, its poses and points predict the shared surface of every two images, and the prediction replaces the
-count wherever the model is trusted.
+count wherever the model is trusted: where it explains the strong previews, above all those of near frames.
+
+A coarse model can tear, or fold one place onto a similar wall, without any residual. Consecutive frames always tie.
+Where the model contradicts their ties it is cut into sections; the smallest set of matches that still connects torn
+sections is taken as false (minimum cut), and the model is made again without them. The model can also rotate a camera
+with few points by tens of degrees: if a nominal mounting would be off by more than 15, a second model must find the
+same, or that camera stays as given and the match counts decide on its pairs. Of components that cannot be joined only
+the largest is trusted, and the receipt says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pycolmap
+from scipy.sparse import csr_array
 
-from tiegraph.geometry import transforms
-from tiegraph.network.coarse.assembled import Assembled
-from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.trust import Trust, trust
+from tiegraph.network.coarse.assembled import Assembled, near_frames
+from tiegraph.network.coarse.model import CoarseModel, calibrated_rigs, turned_deg
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
-from tiegraph.network.tuning.coarse import CoarseTuning
-from tiegraph.scene.graph import strongest_pairs
+from tiegraph.network.tuning import CoarseTuning, TrustTuning
+from tiegraph.scene.graph import cheapest_cut, parts, strongest_pairs
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
-from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.text import some
 
@@ -46,11 +49,10 @@ class Coarse:
 class Search:
     """The search for a coarse model that is sound and agrees with most ties everywhere, one try after another.
 
-    ``wanted`` gives the ties for the next try; the caller maps them and hands the models to ``take``; ``result``
-    judges the candidate pairs by the best try. If sections of passes contradict each other, as if one was displaced
-    by the period of a wall, the ties that displaced it are left out of the next try (``trust``). After a model that
-    is not sound for other reasons the next is made of more pairs; after one that only rotates a camera too far, of
-    more of the previewed pairs.
+    ``wanted`` gives the ties for the next try; the caller maps them and hands the models to ``take``; ``result`` judges
+    the candidate pairs by the best try. Ties that displaced a section of a pass are left out of the next try. After a
+    model that is not sound for other reasons the next is made of more pairs; after one that only rotates a camera too
+    far, of more of the previewed pairs.
     """
 
     def __init__(
@@ -66,23 +68,31 @@ class Search:
         self._left_out = np.zeros(0, np.int64)  # keys of pairs
         self._asked = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._tries: list[_Try] = []
-        self._over = False
+        self._failed: tuple[str, ...] = ()  # notes of a try whose ties gave no model
+        self._count, self._over = 0, False
 
     def wanted(self) -> PreviewMatches | None:
         """The ties of which the next model is to be made; None: a further try does not pay."""
-        if self._over or len(self._tries) >= self._tuning.tries:
+        if self._over or self._count >= self._tuning.tries:
             return None
         best = strongest_pairs(self._pairs, self._scene, round(self._per_image))
         if any(t.right() for t in self._tries):  # only a camera was rotated too far: no reason for more previews
             best = best.where(np.isfinite(self._cache.known(best.i, best.j)))
         self._asked = best.i, best.j
-        return _ties(best, self._cache, self._left_out, self._tuning.tie_matches)
+        self._cache.measure(best.i, best.j)
+        ties = self._cache.matches()
+        key, enough = pair_key(ties.i, ties.j), ties.counts() >= self._tuning.tie_matches
+        return ties.where(np.isin(key, pair_key(best.i, best.j)) & ~np.isin(key, self._left_out) & enough)
 
     def take(self, ties: PreviewMatches, made: Assembled) -> None:
         """Judge the models made of the wanted ties, and decide of which ties the next is made."""
+        self._count += 1
+        if not made.models:
+            self._failed, self._over = made.notes, True
+            return
         tried = self._judged_try(ties, made)
         self._tries.append(tried)
-        self._over = not tried.models or (tried.right() and not self._loose(tried).any())
+        self._over = tried.right() and not self._loose(tried).any()
         suspects = pair_key(*tried.trust.suspects)
         if len(suspects):
             self._left_out = np.union1d(self._left_out, suspects)
@@ -95,36 +105,44 @@ class Search:
         Kept pairs that share less than ``candidates.min_overlap`` are dropped for ``overlap``; all other
         pairs that share at least that much are added with the source ``model``.
         """
-        best = max(self._tries, key=lambda t: (t.right(), not self._loose(t).any(), t.trust.explained))
-        if not best.models:
+        if not self._tries:
             nowhere = np.zeros(len(self._scene), bool)
-            return Coarse(self._pairs, self._scene, model=None, trusted=nowhere, notes=(NO_MODEL, *best.notes))
+            return Coarse(self._pairs, self._scene, model=None, trusted=nowhere, notes=(NO_MODEL, *self._failed))
+        best = max(self._tries, key=lambda t: (t.right(), not self._loose(t).any(), t.trust.explained))
         model, loose = best.models[0], self._loose(best)
         trusted = best.trust.images & ~loose[self._scene.sensor_key]
         pairs = _judged(self._pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
         pairs = pairs.drop(_never_tied(pairs, self._scene, self._cache, self._settings), "votes")
-        scene, moved = calibrated_scene(self._scene, model, loose, self._tuning)
-        notes = (*self._notes(best, loose), *moved)
+        scene, notes = self._scene, self._notes(best, loose)
+        if model.placed().sum() >= self._tuning.calibrates * len(scene):
+            rigs, moved = calibrated_rigs(scene.rigs, model.rigs, self._tuning.most_focal, loose)
+            scene, notes = scene.with_(rigs=rigs), (*notes, *moved)
         return Coarse(pairs=pairs, scene=scene, model=model, trusted=trusted, notes=notes)
 
     def _loose(self, tried: _Try) -> np.ndarray:
-        """(S,) bool: sensors rotated further than a guessed mounting can be wrong, but not in another try: few points
-        determine them (four of nine models of ``canal_demo`` rotated the up camera by 55 deg, the others by 1)."""
+        """(S,) bool: sensors rotated further than a guessed mounting can be wrong, but not in another try."""
         out = tried.turned > self._tuning.most_turn_deg
-        for other in (t for t in self._tries if t is not tried and t.models):
+        for other in (t for t in self._tries if t is not tried):
             out &= np.abs(other.turned - tried.turned) > 3.0
         return out
 
     def _notes(self, best: _Try, loose: np.ndarray) -> tuple[str, ...]:
-        again = f"coarse model: made {len(self._tries)} times, {self._tries[0].wrong()}"
-        said = (again,) if len(self._tries) > 1 else ()
-        return (*_notes(self._scene, best), *best.notes, *said, *_loose_notes(self._scene, loose, best.turned))
+        scene, said = self._scene, []
+        if self._count > 1:
+            wrong = "rotated a camera of the rig too far" if self._tries[0].right() else "contradicted its ties"
+            said.append(f"coarse model: made {self._count} times, the first {wrong}")
+        if loose.any():
+            sensors = scene.all_sensors
+            names = ", ".join(f"{sensors[k].name} ({best.turned[k]:.0f} deg)" for k in np.flatnonzero(loose))
+            said.append(
+                f"coarse model: not used for {names}, because it rotates them so far from nominal; there the numbers "
+                "of preview matches decide"
+            )
+        return (*_notes(scene, best), *best.notes, *said)
 
     def _judged_try(self, ties: PreviewMatches, made: Assembled) -> _Try:
         """The models with their predictions, and where they are trusted."""
         scene, models = self._scene, made.models
-        if not models:
-            return _Try.failed(scene, len(ties), made.notes)
         part = np.full(len(scene), -1)
         for k, one in enumerate(models):
             part[one.placed()] = k
@@ -160,34 +178,9 @@ class _Try:
     notes: tuple[str, ...]
     turned: np.ndarray  # (S,) degrees by which the first model rotates a nominal mounting, 0 = not nominal
 
-    @staticmethod
-    def failed(scene: Scene, ties: int, notes: tuple[str, ...]) -> _Try:
-        """A try whose ties gave no model."""
-        return _Try(
-            models=(),
-            part=np.full(len(scene), -1),
-            overlap=Overlap.together(()),
-            trust=Trust.none(len(scene)),
-            ties=ties,
-            notes=notes,
-            turned=np.zeros(len(scene.all_sensors)),
-        )
-
-    def wrong(self) -> str:
-        """The fault of a try that was not the last."""
-        return ("the first rotated a camera of the rig too far") if self.right() else "the first contradicted its ties"
-
     def right(self) -> bool:
         """Whether it is connected and no tie is suspect; a torn one may explain more matches, including false ones."""
-        return bool(self.models) and self.trust.sound and not len(self.trust.suspects[0])
-
-
-def _ties(best: Pairs, cache: MatchCache, without: np.ndarray, least: int) -> PreviewMatches:
-    """The preview matches of the best pairs, without those with excluded keys (K,)."""
-    cache.measure(best.i, best.j)
-    ties = cache.matches()
-    key = pair_key(ties.i, ties.j)
-    return ties.where(np.isin(key, pair_key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
+        return self.trust.sound and not len(self.trust.suspects[0])
 
 
 def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: CandidatesSettings) -> Pairs:
@@ -219,27 +212,13 @@ def _never_tied(pairs: Pairs, scene: Scene, cache: MatchCache, settings: Candida
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
 
 
-def _loose_notes(scene: Scene, loose: np.ndarray, turned: np.ndarray) -> tuple[str, ...]:
-    """A note on sensors (S,) on which the models did not agree."""
-    if not loose.any():
-        return ()
-    names = ", ".join(f"{scene.all_sensors[k].name} ({turned[k]:.0f} deg)" for k in np.flatnonzero(loose))
-    return (
-        (
-            f"coarse model: not used for {names}, because it rotates them so far from nominal; there the numbers of "
-            "preview matches decide"
-        ),
-    )
-
-
 def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
     placed, trusted = made.part >= 0, made.trust.images
     points = sum(len(m.points) for m in made.models)
     size = f"{int(placed.sum())} of {len(scene)} images, {points} points from {made.ties} pairs"
-    share = made.trust.agreement
-    agrees = (
-        "" if np.isnan(share) else (f"; {100 * share:.0f} % of the strong preview pairs of near frames agree with it")
-    )
+    share, agrees = made.trust.agreement, ""
+    if np.isfinite(share):
+        agrees = f"; {100 * share:.0f} % of the strong preview pairs of near frames agree with it"
     notes = [f"coarse model: {size}{agrees}"]
     doubtful = np.unique(scene.frame[placed & ~trusted])
     if len(doubtful):
@@ -251,74 +230,127 @@ def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
-    """(S,) rotation of each nominal mounting in the model, 0 for those that are not nominal or unknown."""
+# ---------------------------------------------------------------- where a model is trusted
+
+
+@dataclass(frozen=True)
+class Trust:
+    """The trusted part of a model.
+
+    images (N,) bool: where it is trusted. agreement: share of the strong previews of near frames that it explains,
+    NaN = there are none. explained: share of the matches in all strong previews. suspects: images i (K,), j (K,) of
+    ties that it explains between sections of passes where it contradicts most ties.
+    """
+
+    images: np.ndarray
+    agreement: float
+    explained: float
+    suspects: tuple[np.ndarray, np.ndarray]
+    sound: bool
+
+
+def trust(
+    scene: Scene,
+    cache: MatchCache,
+    asked: tuple[np.ndarray, np.ndarray],
+    overlap: Overlap,
+    part: np.ndarray,
+    settings: CandidatesSettings,
+    tuning: TrustTuning,
+) -> Trust:
+    """The trusted part of a model. ``part`` (N,): the component that contains an image, -1 = none. ``asked``: the
+    best pairs i, j (K,) of the images, of which the model is made: they decide between two sections, because most of
+    all the previews of a long survey show similar walls, the more the longer it is.
+
+    Two sections that are torn apart cannot both fit a third: the smallest set of matches that still connects them is
+    suspect. On canal a model tore at a bridge into two correct halves, because the ties across the change of light had
+    fewer matches than those of one half to a wall similar to its own.
+    """
+    i, j, count = cache.pairs()
+    tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
+    i, j, count = i[tied], j[tied], count[tied]
+    strong = count >= tuning.strong * settings.min_matches
+    seen = overlap.where(~(overlap.angle_deg > tuning.steep_deg))
+    right = seen.between(i, j) >= settings.min_overlap
+    sure = near_frames(scene, scene.frame[i], scene.frame[j], tuning.near_steps) & strong
+    stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
+    n = int(stretch.max(initial=0)) + 1
+    stretches = stretch[i] * n + stretch[j]
+    best = strong & np.isin(pair_key(i, j), pair_key(*asked))
+    total, good = (_between_stretches(stretches[best], c[best], n) for c in (count, count * right))
+    near_total, near_good = (_between_stretches(stretches[sure], c[sure], n) for c in (count, count * right))
+    told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
+    torn = (near_total > 0) & (near_good < tuning.trusted * near_total) & ~np.eye(n, dtype=bool)
+    linked = np.where(told & (good >= tuning.linked * total), good, 0.0)
+    held = _without_false(linked, torn)
+    suspect = (told & (good < tuning.suspect * total)) | (held != linked)
+    believed = _largest(stretch, held > 0, (held != linked) | torn | (told & (linked == 0)))
+    drawn = right & suspect.ravel()[stretches]
+    return Trust(
+        images=believed,
+        agreement=float(right[sure].mean()) if sure.any() else float("nan"),
+        explained=float((count * right)[strong].sum() / max(count[strong].sum(), 1e-12)),
+        suspects=(i[drawn], j[drawn]),
+        sound=bool(believed.sum() >= tuning.sound * np.sum(part >= 0)),
+    )
+
+
+def _doubts(
+    scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray, tuning: TrustTuning
+) -> tuple[np.ndarray, np.ndarray]:
+    """(F,), (F,) bool: frames most of whose near previews with earlier, with later frames are not explained."""
+    a, b = scene.frame[i], scene.frame[j]
+    later = scene.sequence_index[a] > scene.sequence_index[b]
     out = []
-    for old, new in zip(given, found):
-        for a, b in zip(old.sensors, new.sensors):
-            known = old.nominal and a.sensor_from_rig is not None and b.sensor_from_rig is not None
-            poses = np.stack(
-                [np.eye(4) if not known or p is None else p for p in (a.sensor_from_rig, b.sensor_from_rig)]
-            )
-            out.append(float(transforms.angle_deg(*poses[:, :3, :3])))
-    return np.array(out)
+    # Forwards and backwards separately: at a tear one half of a frame's neighbours are in the right place.
+    for ends in (np.where(later, a, b), np.where(later, b, a)):
+        total = np.bincount(ends, minlength=scene.frames)
+        good = np.bincount(ends, right, minlength=scene.frames)
+        out.append((good < tuning.trusted * total) & (total >= tuning.few))
+    return out[0], out[1]
 
 
-def calibrated_scene(
-    scene: Scene, model: CoarseModel, loose: np.ndarray, tuning: CoarseTuning
-) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with the rigs of the model, if it contains enough of the images, and notes on them."""
-    if model.placed().sum() < tuning.calibrates * len(scene):
-        return scene, ()
-    rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
-    return scene.with_(rigs=rigs), moved
+def _stretches(scene: Scene, part: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(N,) section of a pass, cut before and after frames (F,) bool, that an image is on; -1 = in no component.
+
+    All loose images are one section.
+    """
+    whole = np.full(scene.frames, -1)
+    np.maximum.at(whole, scene.frame, part)
+    order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
+    key = np.stack([scene.sequence, scene.rig, whole])[:, order]
+    cut = np.any(np.diff(key, axis=1) != 0, axis=0) | before[order][1:] | after[order][:-1]
+    number = np.empty(scene.frames, int)
+    number[order] = np.cumsum(np.append(True, cut))
+    number[scene.sequence < 0] = -whole[scene.sequence < 0]
+    out = np.where(part >= 0, number[scene.frame], number.max() + 1)
+    return np.where(part >= 0, np.unique(out, return_inverse=True)[1], -1)
 
 
-def calibrated_rigs(
-    given: Sequence[Rig], found: Sequence[Rig], most_focal: float, loose: np.ndarray | None = None
-) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
-    """Rigs with guessed values replaced by those of the model: cameras that were not calibrated, and the rotations of
-    a nominal rig (its centres nearly coincide, so the model cannot determine its lever arms). ``most_focal``: factor
-    by which a focal length of a data sheet may be corrected. Sensors that are ``loose`` (S,) in the model stay as
-    given."""
-    rigs, notes = [], []
-    held = iter(np.zeros(sum(len(r.sensors) for r in given), bool) if loose is None else loose)
-    for old, new in zip(given, found):
-        sensors = []
-        turned = []
-        for a, b in zip(old.sensors, new.sensors):
-            if next(held):
-                sensors.append(a)
-                continue
-            camera = _better_camera(a.camera, b.camera, old.fixed, most_focal)
-            extrinsics = a.sensor_from_rig
-            if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
-                centre = transforms.centre(extrinsics)
-                rotation = b.sensor_from_rig[:3, :3]
-                turned.append(transforms.angle_deg(extrinsics[:3, :3], rotation))
-                extrinsics = transforms.rigid(rotation, -rotation @ centre)
-            elif extrinsics is None:
-                extrinsics = b.sensor_from_rig
-            sensors.append(replace(a, camera=camera, sensor_from_rig=extrinsics))
-        guessed = old.nominal or not old.known()
-        rigs.append(replace(old, sensors=tuple(sensors), nominal=guessed))
-        if turned:
-            notes.append(f"rig {old.name}: its cameras are rotated by up to {max(turned):.2f} deg from nominal")
-    return tuple(rigs), tuple(notes)
+def _between_stretches(stretches: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
+    """(n, n) sum of weights (K,) between each two sections, in both orders."""
+    table = np.bincount(stretches, weight, minlength=n * n).reshape(n, n)
+    return table + table.T
 
 
-def _better_camera(
-    given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool, most_focal: float
-) -> pycolmap.Camera | None:
-    """The camera used from here on. A focal length of a data sheet or of EXIF is accurate to some per cent and does
-    not include principal point and distortion; at the side of an image that exceeds the degree that ``filter``
-    allows."""
-    if given is None or found is None:
-        return given
-    if not given.has_prior_focal_length:
-        return found
-    change = found.mean_focal_length() / given.mean_focal_length()
-    if fixed or calibrated(given) or not 1 / most_focal < change < most_focal:
-        return given
-    # It was not calibrated: later stages may adjust it further.
-    return camera_from_dict({**(camera_to_dict(found) or {}), "prior_focal": False})
+def _without_false(linked: np.ndarray, torn: np.ndarray) -> np.ndarray:
+    """(n, n) matches that connect sections, without the smallest set that must be false if torn ones are apart."""
+    held = linked.copy()
+    held[torn] = 0
+    for a, b in zip(*np.nonzero(np.triu(torn))):
+        side = cheapest_cut(csr_array(np.ceil(held).astype(np.int32)), a, b)
+        held[side[:, None] != side[None]] = 0
+    return held
+
+
+def _largest(stretch: np.ndarray, agree: np.ndarray, contradict: np.ndarray) -> np.ndarray:
+    """(N,) bool: the images of the largest set of agreeing sections, without sections that contradict each other."""
+    on = stretch >= 0
+    a, b = np.nonzero(agree)
+    label = parts(a, b, len(agree))
+    size = np.bincount(label[stretch[on]], minlength=len(agree))
+    inside = label == int(np.argmax(size))
+    others = np.argsort(-np.bincount(stretch[on], minlength=len(agree)), kind="stable")
+    for k in others[~inside[others]]:
+        inside[k] = not contradict[k, inside].any()
+    return on & inside[stretch]

@@ -7,7 +7,7 @@ of i has one vote, so that a cluster of points on one facade does not represent 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -15,14 +15,13 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.proxy import Boxes, Proxy, View, assumed_proxy, observed_proxy
-from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
+from tiegraph.network.coarse.proxy import Boxes, Proxy, View, assumed_proxy, views_of
+from tiegraph.network.passes import places
+from tiegraph.network.tuning import CoarseTuning, VisibleTuning
 from tiegraph.scene.graph import spread
 from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import pair_key
-from tiegraph.scene.sorting import Columns
-
-__all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "shared_surface"]
+from tiegraph.scene.sorting import Columns, run_starts
 
 _BLOCK = 128  # rows of the pair table computed at once
 _OWNERS = 256  # images whose assumed points are computed at once
@@ -40,20 +39,15 @@ class Overlap(Columns):
 
     def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) share of image pairs in any order of their ends; 0 where they are not listed."""
-        own, key = pair_key(self.i, self.j), pair_key(np.minimum(i, j), np.maximum(i, j))
-        if not len(own):
-            return np.zeros(len(key))
-        at = np.minimum(np.searchsorted(own, key), len(own) - 1)
-        return np.where(own[at] == key, self.share[at], 0.0)
+        row = places(pair_key(self.i, self.j), pair_key(np.minimum(i, j), np.maximum(i, j)))
+        return np.append(self.share, 0.0)[row]
 
     @staticmethod
     def together(parts: "Sequence[Overlap]") -> "Overlap":
         """One list from several that have no pair in common."""
-        if not parts:
-            return Overlap(*np.zeros((2, 0), np.int32), *np.zeros((3, 0)))
-        columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
-        order = np.lexsort((columns[1], columns[0]))
-        return Overlap(*(c[order] for c in columns))
+        none = Overlap(*np.zeros((2, 0), np.int32), *np.zeros((3, 0)))
+        found = Overlap.concatenate([*parts, none])
+        return found.where(np.lexsort((found.j, found.i)))
 
 
 @dataclass(frozen=True)
@@ -65,27 +59,24 @@ class _Eye:
     slack: float
 
 
-@dataclass(frozen=True)
-class Rays:
-    """From images of one view to points ``point`` (K,) of a proxy: in the world (K, 3), in the image's frame (K, 3)."""
-
-    view: View
-    slack: float
-    point: np.ndarray
-    world: np.ndarray
-    local: np.ndarray
-
-
-def in_view(rays: Rays, proxy: Proxy, tuning: VisibleTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For points (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
-    half = tuning.cone_widens * rays.view.half + rays.slack
-    ray, local, towards = rays.world, rays.local, proxy.towards[rays.point]
+def in_view(
+    view: View,
+    slack: float,
+    rays: tuple[np.ndarray, np.ndarray],
+    proxy: Proxy,
+    point: np.ndarray,
+    tuning: VisibleTuning,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For points (K,) of a proxy: whether in view and not seen from behind (K,) bool, image cell, distance. ``rays``
+    from images of one view to them: in the world (K, 3), in the image's frame (K, 3)."""
+    half = tuning.cone_widens * view.half + slack
+    (ray, local), towards = rays, proxy.towards[point]
     distance = np.linalg.norm(ray, axis=1)
-    ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[rays.point])
+    ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[point])
     facing = -np.einsum("kc,kc->k", ray, towards) > -0.3 * distance  # below, its back is seen
     seen = ahead & (facing | ~towards.any(axis=1))
     shares = np.full((len(ray), 2), np.nan)
-    shares[seen] = rays.view.project(local[seen], rays.slack)
+    shares[seen] = view.project(local[seen], slack)
     seen &= np.isfinite(shares).all(axis=1)
     return seen, (np.where(seen[:, None], shares, 0.0) * tuning.cells).astype(int) @ (1, tuning.cells[0]), distance
 
@@ -97,8 +88,7 @@ def _sight(
     half = tuning.cone_widens * eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
     ray = proxy.points[near] - transforms.centre(eye.pose)
-    rays = Rays(eye.view, eye.slack, near, world=ray, local=ray @ eye.pose[:3, :3].T)
-    seen, cell, distance = in_view(rays, proxy, tuning)
+    seen, cell, distance = in_view(eye.view, eye.slack, (ray, ray @ eye.pose[:3, :3].T), proxy, near, tuning)
     point, cell, distance = near[seen], cell[seen], distance[seen]
     if not proxy.assumed:
         nearest = np.full(tuning.cells[0] * tuning.cells[1], np.inf)
@@ -128,7 +118,13 @@ def shared_surface(
         return Overlap.together(())
     eyes = _eyes(cam_from_world, cameras, known, slack_rad, tuning.guessed_view_deg)
     centre = transforms.centre(cam_from_world[known])
-    parts = _by_owner(proxy, known, centre) if proxy.assumed else [proxy]
+    parts = [proxy]
+    if proxy.assumed:  # by neighbourhoods of images, to bound memory
+        order = known[np.asarray(cKDTree(centre, leafsize=16).indices)]
+        owner = np.full(len(proxy), -1)
+        owner[proxy.point] = proxy.image
+        near = (np.isin(owner, order[k : k + _OWNERS]) for k in range(0, len(order), _OWNERS))
+        parts = [proxy.keep(mask) for mask in near if mask.any()]
     sights = (_all_sights(eyes, known, p, tuning) for p in parts)
     found = _undirected(np.concatenate([_directed(seen, centre, tuning) for seen in sights], axis=1))
     too_much = (found.angle_deg > max_angle_deg) | (np.abs(np.log(found.scale)) > np.log(tuning.max_scale))
@@ -143,9 +139,8 @@ def visible_points(
     centre = transforms.centre(cam_from_world)
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if not len(known) or not len(proxy):
-        none = np.zeros(0, np.int32)
         start = np.zeros(len(cam_from_world) + 1, np.int64)
-        return Visibility(start=start, point=none, xyz=np.zeros((0, 3)), centre=centre)
+        return Visibility(start=start, point=np.zeros(0, np.int32), xyz=np.zeros((0, 3)), centre=centre)
     eyes = _eyes(cam_from_world, cameras, known, 0.0, tuning.guessed_view_deg)
     seen = _all_sights(eyes, known, proxy, tuning)
     image = known[seen.image]
@@ -161,18 +156,9 @@ def _eyes(
     slack_rad: np.ndarray | float,
     guessed_view_deg: float,
 ) -> list[_Eye]:
-    views = {key: View.of(c, guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
+    views = views_of(cameras, guessed_view_deg)
     slack = np.broadcast_to(np.asarray(slack_rad, float), (len(cam_from_world),))
     return [_Eye(cam_from_world[k], views[id(cameras[int(k)])], float(slack[k])) for k in known]
-
-
-def _by_owner(proxy: Proxy, images: np.ndarray, centre: np.ndarray) -> list[Proxy]:
-    """An assumed proxy split by neighbourhoods of images, to bound memory."""
-    order = images[np.asarray(cKDTree(centre, leafsize=16).indices)]
-    owner = np.full(len(proxy), -1)
-    owner[proxy.point] = proxy.image
-    parts = [order[k : k + _OWNERS] for k in range(0, len(order), _OWNERS)]
-    return [proxy.keep(mask) for p in parts if (mask := np.isin(owner, p)).any()]
 
 
 @dataclass(frozen=True)
@@ -189,7 +175,9 @@ class _Table:
 
 def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: VisibleTuning) -> _Table:
     proxy, boxes = _thinned(eyes, proxy, tuning)
-    own = _owned(proxy, images)
+    order = np.argsort(proxy.image, kind="stable")
+    ends = (np.searchsorted(proxy.image[order], images, side) for side in ("left", "right"))
+    own = (proxy.point[order[a:b]] for a, b in zip(*ends))
     points, cells, distances = zip(*(_sight(eye, proxy, boxes, seen, tuning) for eye, seen in zip(eyes, own)))
     image = np.repeat(np.arange(len(eyes), dtype=np.int32), [len(p) for p in points])
     point = np.concatenate(points).astype(np.int32)
@@ -201,17 +189,7 @@ def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: Visi
         owner[proxy.point] = proxy.image
         voter = owner[point] == images[image]
     vote = _votes(image, cell, voter, tuning.cells[0] * tuning.cells[1])
-    return _Table(
-        shape=(len(eyes), len(proxy)), image=image, point=point, distance=distance, vote=vote, points=proxy.points
-    )
-
-
-def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
-    """The points that each image observes."""
-    order = np.argsort(proxy.image, kind="stable")
-    image, point = proxy.image[order], proxy.point[order]
-    low, high = np.searchsorted(image, images), np.searchsorted(image, images, side="right")
-    return [point[a:b] for a, b in zip(low, high)]
+    return _Table((len(eyes), len(proxy)), image=image, point=point, distance=distance, vote=vote, points=proxy.points)
 
 
 def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Proxy, Boxes]:
@@ -232,8 +210,7 @@ def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Pro
 
 
 def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray, cells: int) -> np.ndarray:
-    """(E,) one vote for each cell, shared by its points; all votes of an image sum to one; zero for entries without
-    vote."""
+    """(E,) one vote for each cell, shared by its points, less those without vote; all votes of an image sum to one."""
     key = image.astype(np.int64) * cells + cell
     rows = np.flatnonzero(voter)
     _, at, count = np.unique(key[rows], return_inverse=True, return_counts=True)
@@ -244,8 +221,7 @@ def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray, cells: int) -
 
 
 class _Products:
-    """Sparse tables of the same entries with different values: voting entries (images, points), and all entries
-    transposed."""
+    """Sparse tables of the same entries with different values: those that vote, and all of them transposed."""
 
     def __init__(self, seen: _Table) -> None:
         self.shape = seen.shape
@@ -311,31 +287,21 @@ def _sampled(seen: _Table) -> _Table:
     if part >= 0.7 or np.any(seen.vote == 0):  # assumed points are few
         return seen
     keep = (np.random.default_rng(1).random(len(seen.points)) < part)[seen.point]
-    return _Table(
-        shape=seen.shape,
-        image=seen.image[keep],
-        point=seen.point[keep],
-        distance=seen.distance[keep],
-        vote=seen.vote[keep],
-        points=seen.points,
-    )
+    columns = {name: getattr(seen, name)[keep] for name in ("image", "point", "distance", "vote")}
+    return replace(seen, **columns)
 
 
 def _undirected(rows: np.ndarray) -> Overlap:
-    """Rows (5, K) i, j, share, cosine, log ratio of directed pairs as pairs i < j, with the direction that shares
-    more."""
+    """Rows (5, K) i, j, share, cosine, log ratio of directed pairs as pairs i < j, the larger share of both."""
     rows = rows[:, rows[0] != rows[1]]
     flip = rows[0] > rows[1]
     i, j = np.where(flip, rows[1], rows[0]).astype(int), np.where(flip, rows[0], rows[1]).astype(int)
     ratio = np.where(flip, -rows[4], rows[4])
     order = np.lexsort((-rows[2], j, i))
-    i, j = i[order], j[order]
-    first = np.ones(len(i), bool)
-    first[1:] = (np.diff(i) != 0) | (np.diff(j) != 0)
-    keep = order[first]
+    keep = order[run_starts(pair_key(i[order], j[order]))]
     return Overlap(
-        i=i[first],
-        j=j[first],
+        i=i[keep],
+        j=j[keep],
         share=np.minimum(rows[2, keep], 1.0),
         angle_deg=np.degrees(np.arccos(np.clip(rows[3, keep], -1, 1))),
         scale=np.exp(ratio[keep]),
@@ -366,11 +332,9 @@ def pair_share(
     ray = proxy.points[point] - transforms.centre(pose)
     local = np.einsum("kab,kb->ka", pose[:, :3, :3], ray)
     seen = np.zeros(len(point), bool)
-    for one in {id(c): c for c in cameras}.values():
-        own = np.flatnonzero(camera == id(one))
-        view = View.of(one, tuning.visible.guessed_view_deg)
-        rays = Rays(view, 0.0, point[own], world=ray[own], local=local[own])
-        seen[own] = in_view(rays, proxy, tuning.visible)[0]
+    for key, view in views_of(cameras, tuning.visible.guessed_view_deg).items():
+        own = np.flatnonzero(camera == key)
+        seen[own] = in_view(view, 0.0, (ray[own], local[own]), proxy, point[own], tuning.visible)[0]
     share = np.bincount(look, seen, minlength=len(owner)) / np.maximum(count, 1)
     out = np.full(len(i), np.nan)
     out[there] = share.reshape(2, -1).max(axis=0)

@@ -45,7 +45,7 @@ class _Nodes:
     of_frame: np.ndarray
     place: np.ndarray
     sequence: np.ndarray
-    sequence_index: int
+    frames: int
 
 
 @dataclass(frozen=True)
@@ -118,19 +118,14 @@ def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np
             own = scene.in_order(lane == t)
             rank[own] = np.arange(len(own))
         gap = 0.25 * max(1.0, float(rank.max()))
-        text = (
-            "no positions: frames are drawn in the order of their passes, one row for each pass; lengths have no "
-            "meaning"
-        )
-        return np.stack([rank, -gap * lane], axis=1), text
-    return _by_ties(kept, scene), (
-        "no positions: photographs are drawn near those they tie to; lengths have no meaning"
-    )
+        said = "frames are drawn in the order of their passes, one row for each pass"
+        return np.stack([rank, -gap * lane], axis=1), f"no positions: {said}; lengths have no meaning"
+    said = "photographs are drawn near those they tie to"
+    return _by_ties(kept, scene), f"no positions: {said}; lengths have no meaning"
 
 
 def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
-    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' weighted
-    ties."""
+    """Spectral layout (Hall 1970): eigenvectors 2 and 3 of the normalised Laplacian of the frames' weighted ties."""
     n = scene.frames
     a, b = scene.frame[kept.i], scene.frame[kept.j]
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
@@ -166,9 +161,8 @@ def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
             of_frame[run] = len(places)
             places.append(place[run].mean(axis=0))
             tracks.append(int(t))
-    return _Nodes(
-        of_frame=of_frame, place=np.array(places).reshape(-1, 2), sequence=np.array(tracks, int), sequence_index=step
-    )
+    place = np.array(places).reshape(-1, 2)
+    return _Nodes(of_frame=of_frame, place=place, sequence=np.array(tracks, int), frames=step)
 
 
 def _of_kind(scene: Scene, links: np.ndarray) -> np.ndarray:
@@ -215,17 +209,13 @@ class _Page:
         low, high = low - room, high + room
         shape = float((high - low)[1] / (high - low)[0])
         across = shape > 0.55
-        width = _PAGE_IN / count if across else _PAGE_IN
-        width = min(width, 5.5) if across else width
+        width = min(_PAGE_IN / count, 5.5) if across else _PAGE_IN
         height = float(np.clip(shape * width, 1.8, 7.5))
-        size = (
-            (max(width * count, 7.5), height + _HEAD_IN + 0.5)
-            if across
-            else (width, count * (height + 0.3) + _HEAD_IN + 0.3)
-        )
-        return _Page(
-            figure=Figure(figsize=size, dpi=DPI), low=low, high=high, width=width, height=height, across=across
-        )
+        size = (width, count * (height + 0.3) + _HEAD_IN + 0.3)
+        if across:
+            size = (max(width * count, 7.5), height + _HEAD_IN + 0.5)
+        figure = Figure(figsize=size, dpi=DPI)
+        return _Page(figure=figure, low=low, high=high, width=width, height=height, across=across)
 
     def panel(self, n: int) -> Axes:
         w, h = self.figure.get_size_inches()
@@ -236,10 +226,9 @@ class _Page:
         # The panel keeps its shape: the map is enlarged to it, so that lengths are equal in both directions.
         span, middle = self.high - self.low, 0.5 * (self.low + self.high)
         scale = max(span[0] / (self.width - 0.16), span[1] / self.height)
-        axes.set_xlim(middle[0] - 0.5 * scale * (self.width - 0.16), middle[0] + 0.5 * scale * (self.width - 0.16))
-        axes.set_ylim(middle[1] - 0.5 * scale * self.height, middle[1] + 0.5 * scale * self.height)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        half = 0.5 * scale * np.array([self.width - 0.16, self.height])
+        axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
+        axes.set(xticks=[], yticks=[])
         for spine in axes.spines.values():
             spine.set_color("#dddddd")
         return axes
@@ -287,25 +276,10 @@ def _dots(axes: Axes, scene: Scene, nodes: _Nodes, kept: Pairs) -> None:
         own = nodes.sequence == t
         axes.plot(*nodes.place[own].T, color=INK, lw=0.6 if t >= 0 else 0, alpha=0.5, zorder=3)
         colour = _PASSES[k % len(_PASSES)]
-        axes.scatter(
-            nodes.place[own & tied, 0],
-            nodes.place[own & tied, 1],
-            s=size,
-            color=colour,
-            zorder=4,
-            lw=0.3,
-            edgecolor="white",
-        )
+        axes.scatter(*nodes.place[own & tied].T, s=size, color=colour, zorder=4, lw=0.3, edgecolor="white")
         if (own & ~tied).any():
-            axes.scatter(
-                nodes.place[own & ~tied, 0],
-                nodes.place[own & ~tied, 1],
-                s=3 * size,
-                facecolor="white",
-                edgecolor=RED,
-                zorder=5,
-                lw=1,
-            )
+            lonely = nodes.place[own & ~tied].T
+            axes.scatter(*lonely, s=3 * size, facecolor="white", edgecolor=RED, zorder=5, lw=1)
 
 
 def _names(axes: Axes, scene: Scene, nodes: _Nodes, named: bool) -> None:
@@ -338,7 +312,7 @@ def _weak(axes: Axes, nodes: _Nodes, frames: np.ndarray) -> None:
 def _words(kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: dict[str, _Ties]) -> tuple[str, str]:
     inside = int(np.sum(scene.frame[kept.i] == scene.frame[kept.j]))
     lost = int(np.sum(nodes.of_frame < 0))
-    parts = [f"one dot = {nodes.sequence_index} frames" if nodes.sequence_index > 1 else "one dot = one frame"]
+    parts = [f"one dot = {nodes.frames} frames" if nodes.frames > 1 else "one dot = one frame"]
     parts += [f"{grouped(inside)} pairs within a frame are not drawn"] if inside else []
     parts += [f"{lost} frame{'s are' if lost > 1 else ' is'} left out, without a position"] if lost else []
     if any(len(t.a) >= MAX_LINES for t in ties.values()):

@@ -10,92 +10,89 @@ not get here: scan leaves them out. Others are recognised by their previews: not
 feature is found again.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import or_
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from tiegraph.errors import choose
-from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
-from tiegraph.network.offsets.curves import Proposal, curves_of, facing
-from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig import axes
-from tiegraph.network.rig.axes import allowed_within
-from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, score_matrix
+from tiegraph.network import axes
+from tiegraph.network.axes import allowed_within, angles_deg
+from tiegraph.network.passes import Context, MatchCache, OffsetCurve, Pass, Proposal
+from tiegraph.network.scorematrix import (
+    NoiseFloor,
+    ScoreMatrix,
+    corridor,
+    kernel_reach,
+    noise_floor_away,
+    noise_floor_within,
+    score_matrix,
+)
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import CountsTuning, Tuning
-from tiegraph.network.tuning.retrieval import CopiesTuning
-from tiegraph.network.tuning.rig import RigTuning
+from tiegraph.network.tuning import CountsTuning, RigTuning, Tuning
 from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
-
-
-@dataclass(frozen=True)
-class _Survey:
-    """One finished score matrix: smoothed counts, direction, yaw of q relative to p."""
-
-    scores: ScoreMatrix
-    smooth: np.ndarray
-    reversed: bool
-    path: np.ndarray | None  # (A,) column node of each row; evidence far from it does not count
-    reach: int  # nodes from the path within which evidence counts
-    notes: tuple[str, ...] = ()
-    complete: bool = True  # False: the budget of previews was spent before every tie was followed
-
+from tiegraph.text import csv_text
 
 Estimate = Callable[[Pass, Pass, MatchCache, CandidatesSettings, Tuning], Proposal]
 OFFSETS: dict[str, Estimate] = {}
 """Named methods that estimate the offsets of each two passes separately, beside ``local`` of this module."""
 
 
-def estimate_offsets(
-    passes: Sequence[Pass], cache: MatchCache, images: int, settings: CandidatesSettings, tuning: Tuning
-) -> Proposal:
+@dataclass(frozen=True)
+class _Survey:
+    """One finished score matrix: smoothed counts, direction, path."""
+
+    scores: ScoreMatrix
+    smooth: np.ndarray
+    reversed: bool
+    path: np.ndarray | None  # (A,) column node of each row; evidence far from it does not count
+    reach: int  # nodes from the path within which evidence counts
+    notes: tuple[str, ...]  # the budget of previews was spent before every tie was followed
+
+
+def estimate_offsets(context: Context) -> Proposal:
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
+    passes, mode = context.passes, context.settings.offsets
     pass_pairs = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
-    if settings.offsets == "local":
-        parts = _local_offsets(passes, pass_pairs, cache, images, settings, tuning)
+    if mode == "local":
+        parts = _local_offsets(context, pass_pairs)
     else:
-        estimate = cast(Estimate, choose("mode of offsets", settings.offsets, OFFSETS))
-        parts = [estimate(p, q, cache, settings, tuning) for p, q in pass_pairs]
+        estimate = cast(Estimate, choose("mode of offsets", mode, OFFSETS))
+        parts = [estimate(p, q, context.cache, context.settings, context.tuning) for p, q in pass_pairs]
     lost = axes.strangers([r.stranger for r in parts if r.stranger])
     merged = reduce(or_, parts, Proposal(Pairs.empty()))
     return replace(merged, notes=(*merged.notes, *lost))
 
 
-def _local_offsets(
-    passes: Sequence[Pass],
-    pass_pairs: list[tuple[Pass, Pass]],
-    cache: MatchCache,
-    images: int,
-    settings: CandidatesSettings,
-    tuning: Tuning,
-) -> list[Proposal]:
-    """Proposals for each pair of passes, within a budget of previews."""
-    offsets, parts = tuning.offsets, []
-    budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * images)
-    strides = {id(p): _stride(p, cache, settings, tuning) for p in passes}
+def _local_offsets(context: Context, pass_pairs: list[tuple[Pass, Pass]]) -> list[Proposal]:
+    """Every two passes, each with an equal share of the budget that is left; a coarser lattice where it is spent."""
+    cache, tuning, offsets = context.cache, context.tuning, context.tuning.offsets
+    budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * len(context.scene))
+    strides = {id(p): _stride(context, p) for p in context.passes}
+    parts = []
     for k, (p, q) in enumerate(pass_pairs):
         share = max(0, budget - len(cache)) // (len(pass_pairs) - k)
         stride = finest = min(strides[id(p)], strides[id(q)])
-        survey = _survey((p, q), (stride, offsets.window_nodes), cache, settings, tuning, len(cache) + share)
-        while not survey.complete and 4 * stride < max(len(p), len(q)):
+        survey = _survey(context, (p, q), (stride, offsets.window_nodes), len(cache) + share)
+        while survey.notes and 4 * stride < max(len(p), len(q)):
             stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
             # The same distance in frames from the path: otherwise pairs, and previews, would grow faster than the
             # images.
             window = max(3, offsets.window_nodes * finest // stride)
-            survey = _survey((p, q), (stride, window), cache, settings, tuning, len(cache) + share)
-        local = _local(survey, settings, tuning)
-        parts.append(_without_copies(local, survey.scores, cache, settings, tuning.retrieval.copies))
+            survey = _survey(context, (p, q), (stride, window), len(cache) + share)
+        local = _local(survey, context.settings.min_matches, tuning)
+        parts.append(_without_copies(local, survey.scores, context))
     return parts
 
 
-def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> int:
+def _stride(context: Context, p: Pass) -> int:
     """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same surface."""
+    cache, settings, tuning = context.cache, context.settings, context.tuning
     reach = []
     starts = evenly(len(p), settings.sample_frames)
     noise_floor = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
@@ -126,40 +123,32 @@ def _usual(
     return float(noise_floor.above(mean, (camera, camera)))
 
 
-def _survey(
-    couple: tuple[Pass, Pass],
-    grid: tuple[int, int],
-    cache: MatchCache,
-    settings: CandidatesSettings,
-    tuning: Tuning,
-    budget: int,
-) -> _Survey:
+def _survey(context: Context, couple: tuple[Pass, Pass], grid: tuple[int, int], budget: int) -> _Survey:
     """Seed the score matrix, then grow it from every tie until nothing new ties or the budget of previews is spent.
 
     ``grid``: stride in frames, and nodes from the path of long passes within which evidence counts.
     """
     (p, q), (stride, window) = couple, grid
-    reach = window + tuning.offsets.window_margin_nodes
+    cache, least, tuning = context.cache, context.settings.min_matches, context.tuning
+    reach = window + kernel_reach(tuning)
     if p is q:
-        scores, backwards, path = _seed_same(p, stride, cache, settings, tuning), False, None
+        scores, backwards = _seed_same(context, p, stride), False
         path = np.arange(len(scores.rows), dtype=float)
     else:
-        scores, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
-    path = path if min(len(p), len(q)) >= tuning.offsets.background.long_frames else None
+        scores, backwards, path = _seed_across(context, couple, stride, budget)
+    path = path if min(len(p), len(q)) >= tuning.offsets.long_frames else None
     beside = _beside(scores, path, reach)
-    smooth = scores.smoothed(settings.min_matches, tuning)
+    smooth = scores.smoothed(least, tuning)
     touched, notes = np.ones(len(scores.rows), bool), ()
     while True:
-        frontier = scores.frontier(smooth, 1.1 * settings.min_matches, beside, touched)  # noise alone must not spread
+        frontier = scores.frontier(smooth, 1.1 * least, beside, touched)  # noise alone must not spread
         if not len(frontier[0]):
             break
         if len(cache) + len(frontier[0]) > budget:
             notes = (f"{p.name} - {q.name}: the budget of previews was spent before every tie was followed",)
             break
-        touched = scores.smooth_again(smooth, scores.measure(frontier, cache), settings.min_matches, tuning)
-    return _Survey(
-        scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach, notes=notes, complete=not notes
-    )
+        touched = scores.smooth_again(smooth, scores.measure(frontier, cache), least, tuning)
+    return _Survey(scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach, notes=notes)
 
 
 def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
@@ -170,41 +159,37 @@ def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndar
     return np.abs(np.arange(len(scores.columns)) - path[:, None]) <= reach
 
 
-def _upper(scores: ScoreMatrix) -> np.ndarray:
-    """(S, T, A, B) bool: one of the two nodes that hold the same image pair when both passes are one."""
-    c, d, a, b = np.ogrid[tuple(slice(n) for n in scores.inliers.shape)]
-    return (c < d) | ((c == d) & (a < b))
-
-
-def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> ScoreMatrix:
+def _seed_same(context: Context, p: Pass, stride: int) -> ScoreMatrix:
     """Sampled frames with the frames around them, for every two cameras that the axes permit."""
+    settings, tuning = context.settings, context.tuning
     allowed = allowed_within(p.rig, settings.axes_deg)
-    noise_floor = noise_floor_within(p, allowed, cache, settings.min_matches, tuning)
-    scores = score_matrix(p, p, stride, allowed, tuning.offsets.scores, noise_floor)
-    a, b = np.ogrid[: len(scores.rows), : len(scores.columns)]
-    sampled = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), settings.sample_frames))
-    near = sampled[:, None] & (np.abs(a - b) <= tuning.offsets.window_nodes)
-    return scores.measured(np.nonzero(_upper(scores) & near), cache)
+    noise_floor = noise_floor_within(p, allowed, context.cache, settings.min_matches, tuning)
+    scores = score_matrix(p, p, stride, allowed, tuning.offsets, noise_floor)
+    c, d, a, b = np.ogrid[tuple(slice(n) for n in scores.inliers.shape)]
+    once = (c < d) | ((c == d) & (a < b))  # of the two nodes with the same image pair
+    sampled = np.isin(a, evenly(len(scores.rows), settings.sample_frames))
+    near = sampled & (np.abs(a - b) <= tuning.offsets.window_nodes)
+    return scores.measured(np.nonzero(once & near), context.cache)
 
 
 def _seed_across(
-    couple: tuple[Pass, Pass], stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning, budget: int
+    context: Context, couple: tuple[Pass, Pass], stride: int, budget: int
 ) -> tuple[ScoreMatrix, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
+    cache, settings, tuning = context.cache, context.settings, context.tuning
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
-    scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.scores)
+    scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets)
     cameras = len(p.images) * len(q.images)
     side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
     nodes = min(24, max(4, side))
-    coarse = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), nodes))[:, None] & np.isin(
-        np.arange(len(scores.columns)), evenly(len(scores.columns), nodes)
-    )
+    a, b = np.ogrid[: len(scores.rows), : len(scores.columns)]
+    coarse = np.isin(a, evenly(len(scores.rows), nodes)) & np.isin(b, evenly(len(scores.columns), nodes))
     scores = scores.measured(np.nonzero(np.broadcast_to(coarse, scores.inliers.shape)), cache)
     centre = None
     beside = np.ones(scores.inliers.shape[2:], bool)
-    if min(len(p), len(q)) >= offsets.background.long_frames:
+    if min(len(p), len(q)) >= offsets.long_frames:
         centre = _minimum_cost_path(scores, least, tuning)
-        beside = _beside(scores, centre, offsets.window_nodes + offsets.window_margin_nodes)
+        beside = _beside(scores, centre, offsets.window_nodes + kernel_reach(tuning))
         scores = replace(scores, noise_floor=noise_floor_away(scores, beside, least, tuning))
     excess = axes.above(scores.smoothed(least, tuning), least) * beside
     backwards, _ = axes.direction(scores, excess, tuning.rig.common_view)
@@ -212,15 +197,12 @@ def _seed_across(
     centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
         return scores, backwards, None
-    sampled = np.isin(np.arange(len(scores.rows)), evenly(len(scores.rows), settings.sample_frames))
-    near = np.abs(np.arange(len(scores.columns)) - centre[:, None]) <= offsets.window_nodes
-    nodes = np.nonzero(np.broadcast_to(sampled[:, None] & near, scores.inliers.shape))
-    return scores.measured(nodes, cache), backwards, centre
+    near = np.isin(a, evenly(len(scores.rows), settings.sample_frames)) & _beside(scores, centre, offsets.window_nodes)
+    return scores.measured(np.nonzero(np.broadcast_to(near, scores.inliers.shape)), cache), backwards, centre
 
 
 def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
-    """(A,) column node of each row on the strongest path through the overlap of the whole rig above the rest of the
-    grid.
+    """(A,) column node of each row on the strongest path through the overlap of the whole rig.
 
     Most frames of two long passes share nothing: their median is the level of chance and repeated walls.
     """
@@ -246,9 +228,9 @@ def _path(weight: np.ndarray) -> np.ndarray | None:
     return np.interp(np.arange(weight.shape[0]), rows, centre)
 
 
-def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Proposal:
+def _local(survey: _Survey, least: int, tuning: Tuning) -> Proposal:
     """Pairs kept by the interpolated surface, and measured pairs that were not kept, with the reason."""
-    scores, least, counts = survey.scores, settings.min_matches, tuning.counts
+    scores, counts = survey.scores, tuning.counts
     smooth = scores.confirmed(survey.smooth, least, tuning)
     smooth = axes.without_chance(scores, smooth, least, tuning)
     near = None
@@ -264,7 +246,8 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Pro
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
     seen = np.isfinite(scores.inliers)
     # A strong pair is kept whatever its neighbours show.
-    strong = np.nan_to_num(scores.inliers) >= scores.sure(least, counts)
+    sure = counts.ceiling * least if scores.noise_floor is None else scores.noise_floor.most
+    strong = np.nan_to_num(scores.inliers) >= sure
     if near is not None:
         strong &= near
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= least
@@ -288,66 +271,120 @@ def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Rig
     return ((said,) if said else ()), ""
 
 
-def _without_copies(
-    result: Proposal, scores: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
-) -> Proposal:
-    """Pairs of the same picture are dropped: they match best of all and have no base."""
-    copies = find_copies(scores, cache, settings.min_matches, tuning)
-    if copies is None:
-        return result
-    i, j, note = copies
-    twins = Pairs.make(i, j, "offsets", score=cache.known(i, j))
-    pairs = result.pairs | twins
-    return replace(result, pairs=pairs.drop(pairs.isin(twins), "similar"), notes=(*result.notes, note))
-
-
-def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
-    """Whether a preview match is of the same picture. Pictures of a camera at rest look like that too, and have no
-    base."""
-    if result.inliers < tuning.strong * min_matches or result.shift is None or not len(result.matches):
-        return False
-    # The rotation is not tested: the essential matrix of points that do not move is arbitrary.
-    features = 1 + int(np.max(result.matches))  # the last feature that is found again
-    still = np.linalg.norm(result.shift) <= 0.003  # of the image size
-    return bool(still and result.inliers >= tuning.found_again * features)
-
-
-def find_copies(
-    scores: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning
-) -> tuple[np.ndarray, np.ndarray, str] | None:
-    """Image pairs i, j (K,) of the same pictures in two passes of one rig, and a note; None within a pass, and if
-    some frames of the camera that matches itself best show none, at no offset and at those of its best nodes."""
-    p, q = scores.p, scores.q
+def _without_copies(result: Proposal, scores: ScoreMatrix, context: Context) -> Proposal:
+    """The proposal with pairs of the same picture dropped: they match best of all and have no base."""
+    p, q, tuning = scores.p, scores.q, context.tuning.offsets
     if scores.same or len(p.images) != len(q.images):
-        return None
+        return result
     cameras = np.arange(len(p.images))
     own = np.nan_to_num(scores.inliers[cameras, cameras])
-    camera = int(own.max(axis=(1, 2)).argmax())
-    a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, 0.8 * own.max()))
+    camera = int(own.max(axis=(1, 2)).argmax())  # the one that matches itself best
+    a, b = np.nonzero(own[camera] >= max(tuning.copy_matches * context.settings.min_matches, 0.8 * own.max()))
     if not len(a):
-        return None
+        return result
     steps, nodes = np.unique(scores.columns[b] - scores.rows[a], return_counts=True)
     for step in dict.fromkeys((0, *steps[np.argsort(-nodes, kind="stable")][:2].tolist())):
         m = np.arange(max(0, -step), min(len(p), len(q) - step))
         some = m[evenly(len(m), 6)]
-        first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
-        if first.sum() >= max(2, len(some) / 2):
-            i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
-            same = _copies(i, j, cache, min_matches, tuning)
-            count, total = int(same.sum()), int((q.images >= 0).sum())
-            note = (
-                f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; their pairs "
-                "have no "
-            )
-            return i[same], j[same], note + "base and are dropped: leave out one of the passes"
-    return None
+        first = _copies(context, p.images[camera, some], q.images[camera, some + step])
+        if first.sum() < max(2, len(some) / 2):
+            continue
+        i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
+        same = _copies(context, i, j)
+        twins = Pairs.make(i[same], j[same], "offsets", score=context.cache.known(i[same], j[same]))
+        note = (
+            f"pass {q.name} repeats pass {p.name}: {int(same.sum())} of {int((q.images >= 0).sum())} images show the "
+            "same picture; their pairs have no base and are dropped: leave out one of the passes"
+        )
+        pairs = result.pairs | twins
+        return replace(result, pairs=pairs.drop(pairs.isin(twins), "similar"), notes=(*result.notes, note))
+    return result
 
 
-def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> np.ndarray:
-    """(K,) bool."""
+def _copies(context: Context, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(K,) bool: image pairs of the same picture, or of a camera at rest, which has no base either; -1 = no image."""
+    tuning, out = context.tuning.offsets, np.zeros(len(i), bool)
     there = np.flatnonzero((i >= 0) & (j >= 0))
-    out = np.zeros(len(i), bool)
-    if len(there):
-        results = cache.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
-        out[there] = [is_copy(r, min_matches, tuning) for r in results]
+    found = context.cache.results(np.minimum(i, j)[there], np.maximum(i, j)[there]) if len(there) else []
+    least = tuning.copy_matches * context.settings.min_matches
+    for k, match in zip(there, found):
+        if match.inliers >= least and match.shift is not None and len(match.matches):
+            # The rotation is not tested: the essential matrix of points that do not move is arbitrary.
+            still = np.linalg.norm(match.shift) <= 0.003  # of the image size
+            features = 1 + int(np.max(match.matches))  # the last feature that is found again
+            out[k] = still and match.inliers >= tuning.found_again * features
     return out
+
+
+def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
+    """(S, T) bool: camera pairs whose axes permit a match at the heading of q relative to p; all,
+    if that is unknown."""
+    yaw = axes.yaw(scores, excess, tuning)
+    if yaw is None:
+        return np.ones(excess.shape[:2], bool)
+    return angles_deg(scores.p.rig, yaw) <= settings.axes_deg
+
+
+def curves_of(
+    scores: ScoreMatrix,
+    backwards: bool,
+    accepted: np.ndarray,
+    min_matches: int,
+    tuning: CountsTuning,
+    best: np.ndarray | None = None,
+) -> tuple[OffsetCurve, ...]:
+    """One curve for each camera pair; ``best`` (S, T) is the voted offset, if there is one."""
+    p, q = scores.p, scores.q
+    out = []
+    for c, d in np.argwhere(scores.allowed):
+        if scores.same and c >= d:
+            continue
+        offsets, votes = votes_of(scores, (int(c), int(d)), backwards, min_matches, tuning)
+        if not len(offsets):
+            continue
+        winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
+        curve = OffsetCurve(
+            pass_a=p.name,
+            pass_b=q.name,
+            sensor_a=p.rig.sensors[c].name,
+            sensor_b=q.rig.sensors[d].name,
+            offsets=offsets,
+            votes=votes,
+            best=winner,
+            accepted=bool(accepted[c, d]),
+            reversed=backwards,
+        )
+        out.append(curve)
+    return tuple(out)
+
+
+def votes_of(
+    scores: ScoreMatrix,
+    cameras: tuple[int, int],
+    backwards: bool,
+    min_matches: int,
+    tuning: CountsTuning,
+    total: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (K,) and matches above chance at each, mean over the previewed frames (or their sum)."""
+    inliers = scores.inliers[cameras]
+    m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
+    offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
+    value = np.maximum(0, inliers[np.isfinite(inliers)] - tuning.floor * min_matches)
+    offsets, at = np.unique(offset, return_inverse=True)
+    votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
+    if not total:
+        votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
+    return offsets.astype(np.int32), votes.astype(np.float32)
+
+
+def curves_csv(curves: Iterable[OffsetCurve]) -> str:
+    """CSV of the curves, one row for each offset of two cameras."""
+    heads = ["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"]
+    rows = (
+        [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same", offset, f"{votes:.6g}",
+         int(offset == c.best), int(c.accepted)]
+        for c in curves
+        for offset, votes in zip(c.offsets, c.votes)
+    )  # fmt: skip
+    return csv_text(heads, rows)

@@ -1,6 +1,5 @@
 """Pictures of the network as PNG: correspondence matrix, offset curves, sections and the cues of the up camera along
-the passes, and the map.
-"""
+the passes, and the map."""
 
 from collections.abc import Sequence
 
@@ -11,10 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogFormatter, MaxNLocator
 
-from tiegraph.network.offsets.curves import OffsetCurve
-from tiegraph.network.plots.map import BLUE, DPI, INK, RED, map_png, weak_pairs
-from tiegraph.network.sections.light import Cue
-from tiegraph.network.sections.sections import Section
+from tiegraph.network.map import BLUE, DPI, INK, RED, map_png, weak_pairs
+from tiegraph.network.offsets import OffsetCurve
+from tiegraph.network.sections import Cue, Section
 from tiegraph.scene.figures import png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -40,23 +38,18 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     norm = BoundaryNorm(np.arange(-0.5, len(REASONS) + 1.5), len(REASONS) + 1)
     axes.imshow(cells, cmap=colours, norm=norm, interpolation="nearest", extent=(0, len(scene), len(scene), 0))
     _matrix_grid(axes, scene, order)
-    funnel = pairs.funnel()
-    present = [r for k, r in enumerate(REASONS) if np.any(pairs.dropped == k)]
-    handles = [Patch(facecolor=REASON_LOOKS[r][1], label=f"{REASON_LOOKS[r][0]}: {_count(pairs, r)}") for r in present]
-    never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
-    handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not matched: {never}"))
+    count, total = np.bincount(pairs.dropped, minlength=len(REASONS)), len(scene) * (len(scene) - 1) // 2
+    looks = [(REASON_LOOKS[r], n) for r, n in zip(REASONS, count) if n]
+    handles = [Patch(facecolor=colour, label=f"{name}: {n}") for (name, colour), n in looks]
+    handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not matched: {total - len(pairs)}"))
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9
     )
-    title = f"Which images tie to which: {funnel['used']} of {len(scene) * (len(scene) - 1) // 2} pairs"
+    title = f"Which images tie to which: {count[0]} of {total} pairs"
     axes.set_title(title, fontsize=12, loc="left", pad=26)
     if reduced > 1:
         figure.text(right, room / height, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
     return png(figure)
-
-
-def _count(pairs: Pairs, reason: str) -> int:
-    return int(np.sum(pairs.dropped == REASONS.index(reason)))
 
 
 def _matrix(pairs: Pairs, order: np.ndarray, images: int) -> tuple[np.ndarray, int]:
@@ -73,7 +66,7 @@ def _matrix(pairs: Pairs, order: np.ndarray, images: int) -> tuple[np.ndarray, i
     return cells, step
 
 
-def _matrix_grid(axes: object, scene: Scene, order: np.ndarray) -> None:
+def _matrix_grid(axes: Axes, scene: Scene, order: np.ndarray) -> None:
     """Thin lines between cameras, thick ones between passes, and their names."""
     sequence = scene.sequence[scene.frame][order]
     key = scene.sensor_key[order]
@@ -81,24 +74,23 @@ def _matrix_grid(axes: object, scene: Scene, order: np.ndarray) -> None:
     camera_edges = np.r_[0, 1 + np.flatnonzero((np.diff(sequence) != 0) | (np.diff(key) != 0)), n]
     pass_edges = np.r_[0, 1 + np.flatnonzero(np.diff(sequence) != 0), n]
     few = len(camera_edges) <= 61
-    for edges, width, colour in ((camera_edges, 0.4, "#bbbbbb"), (pass_edges, 1.4, "#444444")):
-        if edges is camera_edges and not few:
-            continue
+    lines = [(pass_edges, 1.4, "#444444")]
+    for edges, width, colour in [(camera_edges, 0.4, "#bbbbbb"), *lines] if few else lines:
         for e in edges[1:-1]:
-            axes.axhline(e, color=colour, lw=width)  # type: ignore[attr-defined]
-            axes.axvline(e, color=colour, lw=width)  # type: ignore[attr-defined]
+            axes.axhline(e, color=colour, lw=width)
+            axes.axvline(e, color=colour, lw=width)
     names = [s.name for s in scene.all_sensors]
     if few and len(names) > 1:
         middles = (camera_edges[:-1] + camera_edges[1:]) / 2
         labels = [names[key[e]] for e in camera_edges[:-1]]
-        axes.set_yticks(middles, labels, fontsize=8)  # type: ignore[attr-defined]
-        axes.set_xticks(middles, labels, fontsize=8, rotation=90)  # type: ignore[attr-defined]
-        axes.tick_params(length=0)  # type: ignore[attr-defined]
+        axes.set_yticks(middles, labels, fontsize=8)
+        axes.set_xticks(middles, labels, fontsize=8, rotation=90)
+        axes.tick_params(length=0)
     if len(scene.sequences) > 1 and len(pass_edges) <= 13:
         for a, b in zip(pass_edges[:-1], pass_edges[1:]):
             name = scene.sequences[sequence[a]] if sequence[a] >= 0 else "loose"
-            axes.text((a + b) / 2, -0.012 * n, name, ha="center", va="bottom", fontsize=10)  # type: ignore[attr-defined]
-            axes.text(1.012 * n, (a + b) / 2, name, ha="left", va="center", fontsize=10, rotation=270)  # type: ignore[attr-defined]
+            axes.text((a + b) / 2, -0.012 * n, name, ha="center", va="bottom", fontsize=10)
+            axes.text(1.012 * n, (a + b) / 2, name, ha="left", va="center", fontsize=10, rotation=270)
 
 
 def curves_png(curves: Sequence[OffsetCurve]) -> bytes:
@@ -142,26 +134,21 @@ def _group_title(group: tuple[str, str], curves: Sequence[OffsetCurve]) -> str:
     return f"passes {group[0]} and {group[1]} ({way}): frame in {group[1]} {kind} frame in {group[0]}"
 
 
-def _draw_curve(axes: object, curve: OffsetCurve, top: float, left: bool) -> None:
+def _draw_curve(axes: Axes, curve: OffsetCurve, top: float, left: bool) -> None:
     colour = "#1b6ca8" if curve.accepted else "#9a9a9a"
-    axes.fill_between(curve.offsets, curve.votes, color=colour, alpha=0.25, lw=0)  # type: ignore[attr-defined]
-    axes.plot(curve.offsets, curve.votes, color=colour, lw=1.2)  # type: ignore[attr-defined]
+    axes.fill_between(curve.offsets, curve.votes, color=colour, alpha=0.25, lw=0)
+    axes.plot(curve.offsets, curve.votes, color=colour, lw=1.2)
     if curve.accepted:
-        axes.axvline(curve.best, color="#c0392b", lw=0.8)  # type: ignore[attr-defined]
+        axes.axvline(curve.best, color="#c0392b", lw=0.8)
     best = f" ({curve.best:+d})" if curve.accepted else " (rejected)"
-    axes.set_title(f"{curve.sensor_a} \N{EN DASH} {curve.sensor_b}{best}", fontsize=8, pad=2)  # type: ignore[attr-defined]
-    axes.set_yscale("function", functions=(_root, np.square))  # type: ignore[attr-defined]
-    axes.set_ylim(0, top * 1.05)  # type: ignore[attr-defined]
-    axes.set_yticks([v for v in (0, 5, 20, 50, 100, 200, 500, 1000) if v <= top])  # type: ignore[attr-defined]
-    axes.tick_params(labelsize=7, length=2)  # type: ignore[attr-defined]
+    axes.set_title(f"{curve.sensor_a} \N{EN DASH} {curve.sensor_b}{best}", fontsize=8, pad=2)
+    axes.set_yscale("function", functions=(lambda v: np.sqrt(np.maximum(v, 0)), np.square))  # faint peaks stay visible
+    axes.set_ylim(0, top * 1.05)
+    axes.set_yticks([v for v in (0, 5, 20, 50, 100, 200, 500, 1000) if v <= top])
+    axes.tick_params(labelsize=7, length=2)
     if not left:
-        axes.set_yticklabels([])  # type: ignore[attr-defined]
-    axes.spines[["top", "right"]].set_visible(False)  # type: ignore[attr-defined]
-
-
-def _root(values: np.ndarray) -> np.ndarray:
-    """Square root, for an axis on which faint peaks stay visible."""
-    return np.sqrt(np.maximum(values, 0))
+        axes.set_yticklabels([])
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:

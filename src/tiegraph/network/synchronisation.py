@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig.axes import predicted_shift
-from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.rig import SynchronisationTuning
+from tiegraph.network.axes import predicted_shift
+from tiegraph.network.passes import Context, Pass
+from tiegraph.network.tuning import SynchronisationTuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.sorting import evenly
 
@@ -100,58 +98,57 @@ class _Steps:
         return np.asarray(np.linalg.norm(self.shift - factor * self.expected[:, None], axis=2))
 
 
-def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> list[str]:
+def lag_notes(context: Context, passes: Sequence[Pass]) -> list[str]:
     """Cameras whose images are some frames late or early relative to the others, one note for each camera and lag.
 
     In most surveys only the same frames are previewed; other offsets if those look odd, and for a stereo rig.
     """
-    sync = tuning.rig.synchronisation
+    sync = context.tuning.rig.synchronisation
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for p in (passes[k] for k in evenly(len(passes), 4)):
-        camera_pairs = _neighbours(p.rig, 15.0)
+        camera_pairs = _neighbours(p.rig)
         longest = min(6, (len(p) - 1) // 3)
         if not len(camera_pairs) or longest < 1 or p.rig.stitched():
             continue
-        if len(camera_pairs) > sync.few and not _odd(_measured(p, camera_pairs, 0, cache, settings, tuning), p, sync):
+        several = len(camera_pairs) > 1  # parallel axes of a stereo rig have no wrong shift to show
+        if several and not _odd(_measured(context, p, camera_pairs, 0), p, sync):
             continue
-        steps = _measured(p, camera_pairs, longest, cache, settings, tuning)
+        steps = _measured(context, p, camera_pairs, longest)
         lags = _lags(steps, len(p.rig.sensors), sync)
         for c in np.flatnonzero(lags):
             found.setdefault((int(c), int(lags[c])), []).append((p.name, _figures(p.rig, steps, int(c), lags)))
     return [_late(passes[0].rig, camera, lag, seen) for (camera, lag), seen in found.items()]
 
 
-def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
-    """(K, 2) pairs of side cameras c < d, each with those whose axes are nearest to its own."""
+def _neighbours(rig: Rig) -> np.ndarray:
+    """(K, 2) pairs of side cameras c < d, each with those whose axes are nearest to its own, within 15 degrees."""
     side = [k for k, s in enumerate(rig.sensors) if s.role != "up"]
     angle = rig.axis_angles_deg()
     near = set()
     for c in side:
         others = [d for d in side if d != c]
         least = min((angle[c, d] for d in others), default=np.nan)
-        near |= {(min(c, d), max(c, d)) for d in others if angle[c, d] <= least + near_deg}
+        near |= {(min(c, d), max(c, d)) for d in others if angle[c, d] <= least + 15.0}
     return np.array(sorted(near), int).reshape(-1, 2)
 
 
-def _measured(
-    p: Pass, camera_pairs: np.ndarray, longest: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
-) -> _Steps:
-    some = 4
-    frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))
+def _measured(context: Context, p: Pass, camera_pairs: np.ndarray, longest: int) -> _Steps:
+    """The previews of four frames of a pass."""
+    least = context.settings.min_matches
+    frames = np.unique(np.linspace(longest, len(p) - 1 - longest, 4).round().astype(int))
     shape = len(camera_pairs), 2 * longest + 1
     k, at, m = (x.ravel() for x in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), frames, indexing="ij"))
     i, j = p.images[camera_pairs[k, 0], m + at - longest], p.images[camera_pairs[k, 1], m]
     there = (i >= 0) & (j >= 0)
     cell, i, j = (k * shape[1] + at)[there], i[there], j[there]
-    results = cache.results(np.minimum(i, j), np.maximum(i, j)) if len(i) else []
+    results = context.cache.results(np.minimum(i, j), np.maximum(i, j)) if len(i) else []
     count = np.array([r.inliers for r in results], float)
     number = np.maximum(np.bincount(cell, minlength=shape[0] * shape[1]), 1)
-    above = np.clip(count / settings.min_matches - 1, 0, None)
+    above = np.clip(count / least - 1, 0, None)
     evidence, matches = (np.bincount(cell, w, len(number)) / number for w in (above, count))
     shift = np.full((len(number), 2), np.nan)
-    sure = [
-        n for n in np.flatnonzero(count >= tuning.counts.sure * settings.min_matches) if results[n].shift is not None
-    ]
+    enough = count >= context.tuning.counts.sure * least
+    sure = [n for n in np.flatnonzero(enough) if results[n].shift is not None]
     for own in np.unique(cell[sure]):
         seen = [np.asarray(results[n].shift) * (1 if i[n] < j[n] else -1) for n in sure if cell[n] == own]
         shift[own] = np.median(seen, axis=0)
@@ -170,8 +167,7 @@ def _measured(
 
 
 def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
-    """Whether the same frames give reason to preview others: unequal counts, wrong shifts, a camera that matches
-    none."""
+    """Whether the same frames give reason to preview others: counts, shifts, a camera that ties to none."""
     counts = {int(n) for s, n in zip(p.rig.sensors, (p.images >= 0).sum(axis=1)) if s.role != "up"}
     evidence = now.evidence[:, 0]
     faint = evidence < max(tuning.faint * float(np.median(evidence)), tuning.least)

@@ -12,9 +12,10 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.network.coarse.visible import Overlap, assumed_proxy, shared_surface
-from tiegraph.network.passes import Pass
-from tiegraph.network.rig.axes import vertical
+from tiegraph.network.axes import vertical
+from tiegraph.network.coarse.proxy import assumed_proxy
+from tiegraph.network.coarse.visible import Overlap, shared_surface
+from tiegraph.network.passes import Pass, image_table
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import PosesTuning, Tuning
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
@@ -79,7 +80,10 @@ def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: CandidatesSetting
     reach = settings.range_m or assumed_range(scene, passes, tuning.poses)
     views = prior_views(scene, poses, headings, passes)
     found = predicted_overlap(scene, views, reach, settings, tuning)
-    i, j = _candidates(scene, np.flatnonzero(with_prior), reach, found, tuning.poses)
+    i, j = _image_pairs(scene, *_frame_pairs(scene, np.flatnonzero(with_prior), reach, tuning.poses))
+    # Those of near frames, and all that share surface
+    key = np.unique(np.r_[pair_key(np.minimum(i, j), np.maximum(i, j)), pair_key(found.i, found.j)])
+    i, j = key >> 32, key & 0xFFFFFFFF
     code, share = _tests(scene, (i, j), views, found, reach, settings, tuning.poses)
     base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
     pairs = Pairs.make(
@@ -162,8 +166,7 @@ def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray
 def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | None]:
     """The camera of each image with its largest possible field of view, so that a guessed focal length hides nothing.
 
-    The cameras of a rig are mounted to overlap, so a guess is widened to ``shared_view`` of the angle to the next
-    one.
+    The cameras of a rig are mounted to overlap, so a guess is widened to ``shared_view`` of the angle to the next one.
     """
     made: list[pycolmap.Camera | None] = []
     for rig in scene.rigs:
@@ -203,22 +206,9 @@ def predicted_overlap(
     return Overlap.together(parts)
 
 
-def _candidates(
-    scene: Scene, frames: np.ndarray, reach: float, found: Overlap, tuning: PosesTuning
-) -> tuple[np.ndarray, np.ndarray]:
-    """Image pairs i < j to be judged: those of near frames, and all that share surface."""
-    i, j = _image_pairs(scene, *_frame_pairs(scene, frames, reach, tuning))
-    i, j = np.concatenate([np.minimum(i, j), found.i]), np.concatenate([np.maximum(i, j), found.j])
-    key = np.unique(pair_key(i, j))
-    return key >> 32, key & 0xFFFFFFFF
-
-
 def _frame_pairs(scene: Scene, frames: np.ndarray, reach: float, tuning: PosesTuning) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of frames (K,), (K,), first <= second: each with itself and with its nearest ones within a multiple of
-    the distance beyond which they share nothing.
-
-    Odometry of one pass is unrelated to another pass, and is never compared with it.
-    """
+    """Pairs of frames (K,), (K,), first <= second: each with itself and its nearest ones of the same world, within a
+    multiple of the distance beyond which they share nothing."""
     position, world = scene.world_from_rig[frames, :3, 3], scene.pose_world()[frames]
     radius = 2.0 * (tuning.far_ranges * reach)
     out = [np.stack([frames, frames], axis=1)]
@@ -235,9 +225,8 @@ def _frame_pairs(scene: Scene, frames: np.ndarray, reach: float, tuning: PosesTu
 
 def _image_pairs(scene: Scene, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every image of one frame with every image of the other, i != j."""
-    most = max(len(r.sensors) for r in scene.rigs)
-    table = np.full((scene.frames, most), -1)
-    table[scene.frame, scene.sensor] = np.arange(len(scene))
+    table = image_table(scene)
+    most = table.shape[1]
     i = np.repeat(table[first], most, axis=1).ravel()
     j = np.tile(table[second], (1, most)).ravel()
     there = (i >= 0) & (j >= 0) & (i != j)
@@ -287,7 +276,6 @@ def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.
 
     Reference camera forward, rig upright: if it is mounted differently, the error is a constant rotation about the
     vertical, which does not affect angles between axes.
-    angles between axes do not notice.
     """
     poses = scene.world_from_rig.copy()
     filled = np.zeros(scene.frames, bool)

@@ -1,20 +1,16 @@
 """Check of a prior: a sample of pairs that it proposes and refuses is previewed, so that a wrong prior (other axes,
 inverted poses, mirrored, shifted in time) is detected and loses no pair silently.
 
-For each kind of pairs (near in sequence, same pass, other pass, loose) 40 proposed and 40 refused pairs are
-previewed. A prior whose refused pairs tie more than 0.6 times as often as the proposed ones, or not significantly
-less, is rejected: it then refuses nothing, and previews and order find the pairs as if there was no prior. Kinds with
-hardly any proposed pair (passes whose trajectories are far apart) must tie no more often than refused pairs of other
-kinds. If only the pairs of different passes fail, each trajectory is correct by itself but not its place among the
-others: it is then used within its own pass only, as odometry is, and previews find the pairs between the passes.
+Of each kind of pairs (near in sequence, same pass, other pass, loose) proposed and refused ones are previewed. A prior
+whose refused pairs tie about as often as the proposed ones is rejected: it then refuses nothing, and previews and order
+find the pairs. If only the pairs of different passes fail, each trajectory is correct by itself but not its place among
+the others: it is then used within its own pass only, as odometry is.
 
 A prior is also rejected if another reading of it (other axes, inverted, mirrored, some frames early or late) predicts
-the same previews better. Two tests must agree on that. The predicted overlap must correlate better with the number of
-matches (rank correlation, by 0.04, and 0.45 in total). It must also separate the pairs that tie from the others
-better (area under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for
-anything that falls with the distance (KITTI: 0.85 for wrong axes, 0.39 for the right ones). The note names the
-reading and its remedy, and whether it may be chance (Student's t over the pairs' parts in the correlations). The
-assumed range matters: at a tenth of it any reading that compresses the path is better.
+the same previews better, by the rank correlation of predicted overlap and matches and by the area under the ROC curve:
+for cameras that look along the path the correlation alone is best for anything that falls with the distance (KITTI:
+0.85 for wrong axes, 0.39 for the right ones). The note names the reading, its remedy, and whether it may be chance
+(Student's t). The assumed range matters: at a tenth of it any reading that compresses the path is better.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,10 +20,9 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.visible import pair_share
-from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
-from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import PriorTuning, Tuning
+from tiegraph.network.passes import Context, Pass
+from tiegraph.network.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
+from tiegraph.network.tuning import PosesTuning
 from tiegraph.scene.evidence import RARELY, mostly_more
 from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
@@ -46,8 +41,7 @@ _AXES = {
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """The quality of a prior according to previews: ``good``; if not, ``apart`` says that it is good within each
-    pass.
+    """The quality of a prior according to previews: ``good``; if not, ``apart`` says that it is good within each pass.
 
     ``fit`` = rank correlation of predicted overlap and preview matches (NaN = unknown); ``better``: the reading that
     fits better, "" = none.
@@ -60,24 +54,19 @@ class PriorCheck:
     notes: tuple[str, ...]
 
 
-def checked_pose_pairs(
-    scene: Scene,
-    passes: Sequence[Pass],
-    cache: MatchCache,
-    settings: CandidatesSettings,
-    tuning: Tuning,
-) -> PoseResult:
+def checked_pose_pairs(context: Context) -> PoseResult:
     """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``world``), its
     proposals are kept, and so are all sampled pairs that tie. A prior that is bad only between passes is not used
     there."""
-    result = pose_pairs(scene, passes, settings, tuning)
+    scene = context.scene
+    result = pose_pairs(scene, context.passes, context.settings, context.tuning)
     if not len(result.pairs):
         return result
-    check = check_prior(scene, passes, cache, result, settings, tuning)
+    check = check_prior(context, result)
     if check.good:
         return replace(result, notes=(*result.notes, *check.notes))
     pairs, sequence = result.pairs, scene.sequence[scene.frame]
-    tied = cache.known(pairs.i, pairs.j) >= tuning.counts.sure * settings.min_matches
+    tied = context.cache.known(pairs.i, pairs.j) >= context.tuning.counts.sure * context.settings.min_matches
     if check.apart:
         world = np.where(result.world >= 0, scene.sequence, -1)
         bad = sequence[pairs.i] != sequence[pairs.j]
@@ -90,23 +79,18 @@ def checked_pose_pairs(
     return replace(result, pairs=pairs, world=world, notes=(*result.notes, *check.notes), apart=check.apart)
 
 
-def check_prior(
-    scene: Scene,
-    passes: Sequence[Pass],
-    cache: MatchCache,
-    result: PoseResult,
-    settings: CandidatesSettings,
-    tuning: Tuning,
-) -> PriorCheck:
+def check_prior(context: Context, result: PoseResult) -> PriorCheck:
     """Preview a sample of the pairs that a prior proposes and refuses, and compare with other readings of the same
     prior."""
-    sample = _sample(scene, result.pairs, cache, tuning.counts.sure * settings.min_matches, tuning.poses.prior)
+    scene, tuning = context.scene, context.tuning.poses
+    sure = context.tuning.counts.sure * context.settings.min_matches
+    sample = _sample(context, result.pairs, sure)
     # By kind: pairs proposed, number that tie, pairs refused, number that tie
     sides = (sample.proposed, sample.proposed & sample.tied, ~sample.proposed, ~sample.proposed & sample.tied)
     table = np.stack([np.bincount(sample.kind[side], minlength=len(KINDS)) for side in sides], axis=1)
     there = np.flatnonzero(table.any(axis=1))
-    bad = [k for k in there if not _tells(table[k], table.sum(axis=0) - table[k], tuning.poses.prior)]
-    fit, better = _readings(scene, passes, sample, result.range_m, tuning)
+    bad = [k for k in there if not _tells(table[k], table.sum(axis=0) - table[k], tuning)]
+    fit, better = _readings(context, sample, result.range_m)
     apart = bad == [OTHER_PASS] and not better.names and bool((scene.sequence >= 0).all())
     notes = _notes(table[there], [KINDS[k] for k in there], [KINDS[k] for k in bad], fit, better)
     if apart:
@@ -133,9 +117,9 @@ class _Sample(Columns):
     tied: np.ndarray
 
 
-def _sample(scene: Scene, pairs: Pairs, cache: MatchCache, sure: float, tuning: PriorTuning) -> _Sample:
-    """Some pairs of each kind. Refused pairs include pairs too far apart to be listed, drawn from all pairs of images
-    with a prior position."""
+def _sample(context: Context, pairs: Pairs, sure: float) -> _Sample:
+    """Some pairs of each kind; refused ones also from those too far apart to be listed."""
+    scene, tuning, most = context.scene, context.tuning.poses.prior, context.tuning.sample
     rng = np.random.default_rng(0)
     world = scene.pose_world()[scene.frame]
     placed = np.flatnonzero(world >= 0)
@@ -151,25 +135,22 @@ def _sample(scene: Scene, pairs: Pairs, cache: MatchCache, sure: float, tuning: 
     loose = (sequence[i] < 0) & (sequence[j] < 0)
     kind = np.where(near, 0, np.where(same, 1, np.where(loose, 3, OTHER_PASS)))
     groups = [np.flatnonzero((kind == k) & (offered == side)) for k in range(len(KINDS)) for side in (True, False)]
-    take = np.sort(np.concatenate([rng.choice(g, min(tuning.sample, len(g)), replace=False) for g in groups]))
+    take = np.sort(np.concatenate([rng.choice(g, min(most, len(g)), replace=False) for g in groups]))
     i, j = i[take], j[take]
-    count = cache.measure(i, j) if len(i) else np.zeros(0)
+    count = context.cache.measure(i, j) if len(i) else np.zeros(0)
     return _Sample(i=i, j=j, proposed=offered[take], kind=kind[take], count=count, tied=count >= sure)
 
 
-def _tells(counts: np.ndarray, others: np.ndarray, tuning: PriorTuning) -> bool:
-    """Whether a prior is informative for a kind of pairs: refused pairs tie much more rarely than proposed ones; if
-    hardly any is proposed, not more often than refused pairs of the ``others``. Both (4,) as in the table.
-
-    With too few pairs or ties the answer is yes.
-    """
-    proposed, tied, refused, lost = counts.tolist()
+def _tells(counts: np.ndarray, others: np.ndarray, poses: PosesTuning) -> bool:
+    """Whether refused pairs of a kind tie much more rarely than proposed ones, or if hardly any is proposed, not more
+    often than refused ones of the ``others``; yes with too few pairs or ties. Both (4,) as in the table."""
+    (proposed, tied, refused, lost), tuning = counts.tolist(), poses.prior
     if refused < tuning.enough or tied + lost < tuning.few_ties:
         return True
     if proposed < tuning.enough:
         more = _significance((lost, refused), (others[3], others[2]))
         return others[2] < tuning.enough or more < tuning.lost_sigmas
-    significant = _significance((tied, proposed), (lost, refused)) > tuning.sigmas
+    significant = _significance((tied, proposed), (lost, refused)) > poses.sigmas
     return significant and lost / refused < tuning.bad_ratio * tied / proposed
 
 
@@ -193,12 +174,10 @@ class _Better:
     sure: bool = False
 
 
-def _readings(
-    scene: Scene, passes: Sequence[Pass], sample: _Sample, range_m: float, tuning: Tuning
-) -> tuple[float, _Better]:
+def _readings(context: Context, sample: _Sample, range_m: float) -> tuple[float, _Better]:
     """The agreement of the prior as given with the previews, and the reading with a better one."""
-    prior = tuning.poses.prior
-    given = _share(scene, passes, scene.world_from_rig, sample, range_m, tuning)
+    scene, passes, prior = context.scene, context.passes, context.tuning.poses.prior
+    given = _share(context, scene.world_from_rig, sample, range_m)
     before = _parts(given, sample, prior.enough)
     if not before:
         return float("nan"), _Better()
@@ -206,7 +185,7 @@ def _readings(
     fits, gains, tried = {}, {}, 0
     for name, poses in _possible(scene, passes, prior.shifts_frames):
         tried += 1
-        share = _share(scene, passes, poses, sample, range_m, tuning)
+        share = _share(context, poses, sample, range_m)
         share = np.where(np.isfinite(given), np.nan_to_num(share), np.nan)
         if not _area(share, sample, prior.few_ties) < tells + prior.better_tells:
             after = _parts(share, sample, prior.enough)
@@ -250,20 +229,17 @@ def _shifted(poses: np.ndarray, passes: Sequence[np.ndarray], step: int) -> np.n
     return out
 
 
-def _share(
-    scene: Scene, passes: Sequence[Pass], poses: np.ndarray, sample: _Sample, range_m: float, tuning: Tuning
-) -> np.ndarray:
+def _share(context: Context, poses: np.ndarray, sample: _Sample, range_m: float) -> np.ndarray:
     """(K,) predicted overlap of pairs by a reading of the prior."""
-    read = scene.with_(world_from_rig=poses)
+    passes, tuning, read = context.passes, context.tuning, context.scene.with_(world_from_rig=poses)
     full, headings = with_headings(read, passes)
     cam_from_world = transforms.invert(prior_views(read, full, headings, passes).pose)
-    cameras = view_cameras(scene, tuning.poses)
+    cameras = view_cameras(read, tuning.poses)
     return pair_share(cam_from_world, cameras, sample.i, sample.j, range_m, tuning.coarse)
 
 
 def _parts(share: np.ndarray, sample: _Sample, enough: int) -> list[np.ndarray]:
-    """The contribution of each pair to the rank correlation of predicted overlap and preview matches, by kind, with
-    enough pairs."""
+    """The part of each pair in the rank correlation of predicted overlap and matches, kind by kind."""
     from scipy.stats import rankdata  # a second to load
 
     def ranks(values: np.ndarray) -> np.ndarray:
@@ -281,8 +257,8 @@ def _fit(parts: list[np.ndarray]) -> float:
 
 
 def _area(share: np.ndarray, sample: _Sample, few: int) -> float:
-    """Probability that a pair that ties has a larger predicted overlap than one that does not (area under the ROC
-    curve), mean over the kinds; NaN = too few pairs."""
+    """Probability that a pair that ties has more predicted overlap than one that does not, mean over the kinds (area
+    under the ROC curve); NaN = too few pairs."""
     from scipy.stats import mannwhitneyu  # a second to load
 
     found = []

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.network.scorematrix import ScoreMatrix
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.rig import CommonViewTuning, RigTuning
+from tiegraph.network.tuning import CommonViewTuning, RigTuning, Tuning
 from tiegraph.scene.rig import Rig
 
 PAIRS_NAMED = 8
@@ -118,19 +117,14 @@ def in_words(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
         return ""
     way = ("runs back along" if backwards else "follows") if sure else "shares views with"
     heading = "" if turned is None else f", turned by about {turned:.0f} deg"
-    frames = _frames(scores, excess, tuning.common_view)
-    return f"{scores.q.name} {way} {scores.p.name}{heading} (voted by previews){frames}"
-
-
-def _frames(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> str:
-    """The frames in common, if they are clearly not all of both passes."""
-    weight = excess.sum(axis=(0, 1))
-    said, partly = [], False
+    weight, view = excess.sum(axis=(0, 1)), tuning.common_view
+    frames, partly = [], False
     for p, ranks, own in ((scores.p, scores.rows, weight.sum(axis=1)), (scores.q, scores.columns, weight.sum(axis=0))):
-        hot = ranks[own > tuning.rim * own.max()]
-        partly |= bool(hot[-1] - hot[0] + 1 < tuning.whole * len(p))
-        said.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")
-    return f"; common view: {' and '.join(said)}" if partly else ""
+        hot = ranks[own > view.rim * own.max()]
+        partly |= bool(hot[-1] - hot[0] + 1 < view.whole * len(p))
+        frames.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")
+    common = f"; common view: {' and '.join(frames)}" if partly else ""
+    return f"{scores.q.name} {way} {scores.p.name}{heading} (voted by previews){common}"
 
 
 def above(smooth: np.ndarray, min_matches: int) -> np.ndarray:

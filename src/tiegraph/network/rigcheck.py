@@ -1,5 +1,4 @@
-"""Do the nominal axes of a rig agree with the images? The images of one frame show it, without any motion between
-them.
+"""Do the nominal axes of a rig agree with the images? The images of one frame show it, without any motion between them.
 
 A preset may be reversed (mirrored), or its images may be turned on their side (rolled). Each of these hypotheses
 predicts the direction in which an object moves in the picture from one camera to the next; the previews of same-frame
@@ -17,12 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.rig.axes import allowed_within, predicted_shift
-from tiegraph.network.rig.synchronisation import frame_notes, lag_notes
-from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.rig import CheckTuning, OrderTuning
+from tiegraph.network.axes import allowed_within, predicted_shift
+from tiegraph.network.passes import Context, Pass
+from tiegraph.network.synchronisation import frame_notes, lag_notes
+from tiegraph.network.tuning import CheckTuning
 from tiegraph.scene.evidence import mostly_more
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -38,7 +35,7 @@ class Order:
     nominal_fit: float
 
 
-def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
+def orders(rig: Rig, evidence: np.ndarray, tuning: CheckTuning) -> list[Order]:
     """Orders of the side cameras that explain evidence (2, S, S), one for each half of the frames, better than the
     rig does.
 
@@ -54,27 +51,24 @@ def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     tried = np.array(list(permutations(range(len(side))))) if len(side) <= 7 else _by_swaps(whole, cosine)
     fit = _fits(whole, cosine, tried)
     nominal = fit[0]
-    if fit.max() < tuning.fit or fit.max() < nominal + tuning.better:
+    if fit.max() < tuning.order_fit or fit.max() < nominal + tuning.order_better:
         return []
     halves = [_fits(e, cosine, tried) for e in parts]
-    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + 0.15 for h in halves], axis=0)
+    good = (fit >= fit.max() - tuning.order_alike) & np.all([h >= h[0] + 0.15 for h in halves], axis=0)
     moved = np.sum(tried != np.arange(len(side)), axis=1)
-    best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")][: tuning.candidates]
-    return [Order(_whole_order(len(rig.sensors), side, tried[k]), float(fit[k]), float(nominal)) for k in best]
+    best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")]
+    place = np.tile(np.arange(len(rig.sensors)), (len(best), 1))
+    place[:, side] = side[tried[best]]
+    return [Order(tuple(p), float(fit[k]), float(nominal)) for p, k in zip(place.tolist(), best)]
 
 
 def reordered(rig: Rig, place: tuple[int, ...]) -> tuple[Rig, np.ndarray]:
     """The rig with sensor k at the pose of sensor ``place[k]``, and the (4, 4) transform from its new rig frame to
     the old one."""
-    old = [s.sensor_from_rig for s in rig.sensors]
+    old = [s.sensor_from_rig for s in rig.sensors if s.sensor_from_rig is not None]
     first = old[place[0]]
-    assert first is not None
     back = transforms.invert(first)
-    sensors = []
-    for sensor, k in zip(rig.sensors, place):
-        pose = old[k]
-        assert pose is not None
-        sensors.append(replace(sensor, sensor_from_rig=pose @ back))
+    sensors = [replace(sensor, sensor_from_rig=old[k] @ back) for sensor, k in zip(rig.sensors, place)]
     antenna = None if rig.antenna_m is None else transforms.apply(first, np.array([rig.antenna_m]))[0]
     arm = None if antenna is None else (float(antenna[0]), float(antenna[1]), float(antenna[2]))
     return replace(rig, sensors=tuple(sensors), antenna_m=arm), back
@@ -90,19 +84,14 @@ def in_words(rig: Rig, order: Order, evidence: np.ndarray) -> str:
         said = "its cameras match as if they were in another order: " + ", ".join(
             f"{names[k]} at the place of {names[order.place[k]]}" for k in moved
         )
-    found = _strongest(rig, evidence)
+    mean = np.nan_to_num(_mean(evidence))
+    np.fill_diagonal(mean, 0)
+    least = float(np.median(mean.max(axis=1))) / 2  # half the evidence of the typical best partner
+    found = [(c, d) for c, d in combinations(range(len(names)), 2) if mean[c, d] >= least > 0]
     angle = rig.axis_angles_deg()
     pairs = ", ".join(f"{names[c]}-{names[d]} ({angle[c, d]:.0f} deg by the rig)" for c, d in found)
     fits = f"correlation of matches and axes {order.fit:.2f} instead of {order.nominal_fit:.2f}"
     return f"{said} ({fits}); cameras that share a view: {pairs}"
-
-
-def _strongest(rig: Rig, evidence: np.ndarray) -> list[tuple[int, int]]:
-    """Camera pairs with at least half the evidence of the typical best partner."""
-    mean = np.nan_to_num(_mean(evidence))
-    np.fill_diagonal(mean, 0)
-    least = float(np.median(mean.max(axis=1))) / 2
-    return [(c, d) for c, d in combinations(range(len(rig.sensors)), 2) if mean[c, d] >= least > 0]
 
 
 def _mean(evidence: np.ndarray) -> np.ndarray:
@@ -139,22 +128,14 @@ def _fits(evidence: np.ndarray, cosine: np.ndarray, tried: np.ndarray) -> np.nda
     return y @ x / np.maximum(np.linalg.norm(y, axis=1) * np.linalg.norm(x), 1e-12)
 
 
-def _whole_order(count: int, side: np.ndarray, order: np.ndarray) -> tuple[int, ...]:
-    place = np.arange(count)
-    place[side] = side[order]
-    return tuple(int(k) for k in place)
-
-
 @dataclass(frozen=True)
 class RigCheck:
-    """Outcome for one rig: the rig to use from here on, whether it was changed, and the note.
+    """Outcome for one rig: the rig to use from here on and the note.
 
-    old_from_new (4, 4): the old rig frame from the new one; ordered: False if its cameras seem to be in another
-    order.
+    old_from_new (4, 4): the old rig frame from the new one; ordered: False if its cameras seem to be in another order.
     """
 
     rig: Rig
-    changed: bool
     note: str
     old_from_new: np.ndarray = field(default_factory=lambda: np.eye(4))
     ordered: bool = True
@@ -175,140 +156,126 @@ class _Votes:
     evidence: np.ndarray
 
 
-def check_rigs(
-    scene: Scene, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
-) -> tuple[Scene, tuple[str, ...]]:
+def check_rigs(context: Context) -> tuple[Scene, tuple[str, ...]]:
     """The scene with rigs corrected whose order, sense of rotation or roll the images contradict, and notes.
 
     Notes also name cameras with fewer frames than others and cameras that seem to run late.
     """
-    if not tuning.rig.check.frames:
+    scene, tuning = context.scene, context.tuning.rig
+    if not tuning.check.frames:
         return scene, ()
-    rigs, notes, poses = (
-        list(scene.rigs),
-        list(frame_notes(passes, scene.names, tuning.rig.synchronisation)),
-        scene.world_from_rig,
-    )
+    rigs, poses = list(scene.rigs), scene.world_from_rig
+    notes = list(frame_notes(context.passes, scene.names, tuning.synchronisation))
     for k, rig in enumerate(scene.rigs):
         if len(rig.sensors) < 2 or not rig.known():
             continue
-        own = [p for p in passes if p.rig_index == k]
-        outcome = check_rig(rig, own, cache, settings, tuning)
+        own = [p for p in context.passes if p.rig_index == k]
+        outcome = check_rig(context, rig, own)
         rigs[k] = outcome.rig
         if not np.array_equal(outcome.old_from_new, np.eye(4)):
             turned = (scene.rig == k) & np.isfinite(poses).all(axis=(1, 2))  # a position alone does not change
             poses = np.where(turned[:, None, None], poses @ outcome.old_from_new, poses)
         notes.append(outcome.note)
         if outcome.ordered:
-            notes += lag_notes([replace(p, rig=outcome.rig) for p in own], cache, settings, tuning)
+            notes += lag_notes(context, [replace(p, rig=outcome.rig) for p in own])
     if any(a is not b for a, b in zip(rigs, scene.rigs)):
         scene = scene.with_(rigs=tuple(rigs), world_from_rig=poses)
     return scene, tuple(notes)
 
 
-def check_rig(
-    rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
-) -> RigCheck:
+def check_rig(context: Context, rig: Rig, passes: Sequence[Pass]) -> RigCheck:
     """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
-    check = tuning.rig.check
-    everything = _collect(rig, passes, cache, settings, tuning)
-    found = orders(rig, everything.evidence, tuning.rig.order)
+    check, limit_deg = context.tuning.rig.check, context.settings.axes_deg
+    everything = _collect(context, rig, passes)
+    found = orders(rig, everything.evidence, check)
     if found:
-        return _out_of_order(rig, found, everything, settings, tuning)
-    votes = _facing(everything, rig, settings)
+        return _out_of_order(rig, found, everything, limit_deg, check.tie)
+    votes = _facing(everything, rig, limit_deg)
     if len(votes.a) < check.min_votes:
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
-        return RigCheck(rig, False, f"{text} ({len(votes.a)} of {check.min_votes} pairs of one frame)")
-    score = {name: _agreement(variant, votes) for name, variant in _hypotheses(rig)}
+        return RigCheck(rig, f"{text} ({len(votes.a)} of {check.min_votes} pairs of one frame)")
+    variants = _hypotheses(rig)
+    score = {name: _agreement(variant, votes) for name, variant in variants.items()}
     # The first of equally good explanations: side cameras of a ring cannot separate "mirrored" from "upside down".
     best = next(name for name, s in score.items() if s >= max(score.values()) - check.tie)
     angles = _angles(rig, votes)
     if score["nominal"] >= check.agreement or best == "nominal":
         how = "agree with" if score["nominal"] >= check.agreement else "neither prove nor contradict"
-        return RigCheck(rig, False, f"rig {rig.name}: the images {how} its sense of rotation{angles}")
-    variants = dict(_hypotheses(rig))
+        return RigCheck(rig, f"rig {rig.name}: the images {how} its sense of rotation{angles}")
     gain = _cosines(variants[best], votes) - _cosines(rig, votes)
     sure = score[best] >= max(check.agreement, score["nominal"] + check.margin)
     if not sure or not mostly_more(gain[np.isfinite(gain)], len(variants) - 1):
-        return RigCheck(rig, False, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
+        return RigCheck(rig, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
     if rig.fixed:
         return RigCheck(
-            rig, False, (f"rig {rig.name}: the images show it {best}, but it is calibrated: it was not changed{angles}")
+            rig, f"rig {rig.name}: the images show it {best}, but it is calibrated: it was not changed{angles}"
         )
     angles = _angles(variants[best], votes)
-    return RigCheck(variants[best], True, f"rig {rig.name}: the images show it {best}: it was corrected{angles}")
+    return RigCheck(variants[best], f"rig {rig.name}: the images show it {best}: it was corrected{angles}")
 
 
-def _out_of_order(
-    rig: Rig, found: Sequence[Order], votes: _Votes, settings: CandidatesSettings, tuning: Tuning
-) -> RigCheck:
-    """Among orders with the same neighbours, the one with the sense of rotation of the images;
-    among those the first."""
+def _out_of_order(rig: Rig, found: Sequence[Order], votes: _Votes, limit_deg: float, tie: float) -> RigCheck:
+    """Of orders with the same neighbours the first that has the sense of rotation of the images."""
     tried = [reordered(rig, order.place)[0] for order in found]
-    score = [_agreement(r, _facing(votes, r, settings)) for r in tried]
-    order = found[next(k for k, s in enumerate(score) if s >= max(score) - tuning.rig.check.tie)]
+    score = [_agreement(r, _facing(votes, r, limit_deg)) for r in tried]
+    order = found[next(k for k, s in enumerate(score) if s >= max(score) - tie)]
     text = f"rig {rig.name}: {in_words(rig, order, votes.evidence)}"
     if rig.fixed:
-        return RigCheck(rig, False, f"{text}: it is calibrated and was not changed; check the rig file", ordered=False)
+        return RigCheck(rig, f"{text}: it is calibrated and was not changed; check the rig file", ordered=False)
     corrected, old_from_new = reordered(rig, order.place)
-    return RigCheck(
-        rig=corrected, changed=True, note=f"{text}: it was corrected; check the rig file", old_from_new=old_from_new
-    )
+    return RigCheck(corrected, f"{text}: it was corrected; check the rig file", old_from_new)
 
 
-def _hypotheses(rig: Rig) -> list[tuple[str, Rig]]:
-    out = []
+def _hypotheses(rig: Rig) -> dict[str, Rig]:
+    """Every camera rotated about its own axis, and the rig reflected left to right as seen by the reference camera."""
+    posed = [(s, s.sensor_from_rig) for s in rig.sensors if s.sensor_from_rig is not None]
+    out = {}
     for roll in (0, 90, 180, 270):
         turn = Rotation.from_euler("z", roll, degrees=True).as_matrix()
         for mirror in (False, True):
             name = " and ".join(["mirrored"] * mirror + [f"rolled by {roll} deg"] * (roll > 0)) or "nominal"
-            out.append((name, _variant(rig, turn, mirror)))
+            change = transforms.rigid(turn @ np.diag([-1.0 if mirror else 1.0, 1.0, 1.0]), np.zeros(3))
+            back = np.linalg.inv(change)
+            sensors = tuple(replace(s, sensor_from_rig=change @ pose @ back) for s, pose in posed)
+            out[name] = replace(rig, sensors=sensors)
     return out
 
 
-def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
-    """Every camera rotated about its own axis, and the rig reflected left to right as seen by the reference camera."""
-    flip = np.diag([-1.0, 1.0, 1.0]) if mirror else np.eye(3)
-    change = transforms.rigid(turn @ flip, np.zeros(3))
-    sensors = []
-    for s in rig.sensors:
-        assert s.sensor_from_rig is not None
-        sensors.append(replace(s, sensor_from_rig=change @ s.sensor_from_rig @ np.linalg.inv(change)))
-    return replace(rig, sensors=tuple(sensors))
-
-
-def _collect(
-    rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
-) -> _Votes:
+def _collect(context: Context, rig: Rig, passes: Sequence[Pass]) -> _Votes:
     """Previews of every two cameras in sampled frames; if hardly any match, also from a frame to the next one."""
-    camera_pairs = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
-    check = tuning.rig.check
+    cache, least, check = context.cache, context.settings.min_matches, context.tuning.rig.check
+    camera_pairs = np.stack(np.triu_indices(len(rig.sensors), 1), axis=1)
     rows = _sampled(passes, camera_pairs, 0, check)
     results = cache.results(rows[2], rows[3]) if rows.size else []
     a, b, _, _, half = rows
     inliers = np.array([r.inliers for r in results], float)
-    sure = inliers >= tuning.counts.sure * settings.min_matches
+    sure = inliers >= context.tuning.counts.sure * least
     enough = [k for k, r in enumerate(results) if sure[k] and r.shift is not None]
-    angle = [np.nan if results[k].rotation is None else _axis_angle(results[k].rotation) for k in enough]
+    turns = [results[k].rotation for k in enough]
+    angle = [np.nan if r is None else np.degrees(np.arccos(np.clip(r[2, 2], -1, 1))) for r in turns]  # of the axes
     shift = np.array([results[k].shift for k in enough]).reshape(-1, 2)
     if sure.sum() < check.min_votes:
         both = np.concatenate([camera_pairs, camera_pairs[:, ::-1]])
         following = _sampled(passes, both, 1, check)
         inliers = np.append(inliers, cache.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
-    evidence = _evidence(rows, inliers / settings.min_matches - 1, len(rig.sensors))
+    first, second, half, sensors = rows[0], rows[1], rows[4], len(rig.sensors)
+    total, count = np.zeros((2, 2, sensors, sensors))
+    np.add.at(total, (half, first, second), np.clip(inliers / least - 1, 0, 2.0))
+    np.add.at(count, (half, first, second), 1)
+    total, count = total + total.transpose(0, 2, 1), count + count.transpose(0, 2, 1)
+    evidence = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return _Votes(a=a[enough], b=b[enough], shift=shift, angle_deg=np.array(angle, float), evidence=evidence)
 
 
-def _facing(votes: _Votes, rig: Rig, settings: CandidatesSettings) -> _Votes:
+def _facing(votes: _Votes, rig: Rig, limit_deg: float) -> _Votes:
     """Votes of the cameras whose axes permit a match: with repeated walls the others match by chance."""
-    use = allowed_within(rig, settings.axes_deg)[votes.a, votes.b]
+    use = allowed_within(rig, limit_deg)[votes.a, votes.b]
     return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])
 
 
 def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
-    """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and the half of the frames (0, 1) that it
-    belongs to."""
+    """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and the half of the frames (0, 1)."""
     frames = int(np.clip(tuning.samples // max(1, len(camera_pairs)), tuning.least_frames, tuning.frames))
     some = [passes[k] for k in evenly(len(passes), frames)]
     each = max(1, frames // max(1, len(some)))
@@ -324,21 +291,6 @@ def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning
             rows[:4, swap] = rows[[1, 0, 3, 2]][:, swap]
             out.append(rows[:, (i >= 0) & (j >= 0)])
     return np.concatenate(out, axis=1)
-
-
-def _evidence(rows: np.ndarray, excess: np.ndarray, sensors: int) -> np.ndarray:
-    """(2, S, S) mean clipped ``excess`` (K,) of matches of each half of the frames, symmetric; NaN = none."""
-    a, b, half = rows[0], rows[1], rows[4]
-    total, count = np.zeros((2, sensors, sensors)), np.zeros((2, sensors, sensors))
-    value = np.clip(excess, 0, 2.0)
-    np.add.at(total, (half, a, b), value)
-    np.add.at(count, (half, a, b), 1)
-    total, count = total + total.transpose(0, 2, 1), count + count.transpose(0, 2, 1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _axis_angle(rotation: np.ndarray) -> float:
-    return float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1, 1))))
 
 
 def _agreement(rig: Rig, votes: _Votes) -> float:

@@ -1,1 +1,0 @@
-"""Retrieval of look-alikes: visual words learnt on the survey itself, loose photographs, copies."""

@@ -1,1 +1,0 @@
-"""Bridge and open-sky sections from the light in the upper camera."""
