@@ -48,6 +48,7 @@ def server(tmp_path_factory: pytest.TempPathFactory):
         (source / name).write_text("")
     (source / "tiegraph" / "forking.py").write_text("def allow():\n    pass\n")
     (source / "tiegraph" / "cli" / "main.py").write_text(_FAKE)
+    (source / "tiegraph" / "cli" / "run.py").write_text("def preparsed(words):\n    pass\n")
     made = Server(source)
     yield made
     made.close()
