@@ -110,13 +110,13 @@ def fit_to_world(measured: Measured) -> SimilarityFit | NotPlaced:
     fixes = stated.widened(measured.frames(near.scale), near.scale, tuning.fixes).blurred(weighed.extra_m)
     moving = given.rows is not None and settings.antenna != "ignored"
     rough = replace(rough, free=frozenset([ANTENNA] * (estimate is not False) + [CLOCK] * moving))
-    evidence, fit, used = believed(rough, fixes, up, near, tuning)
-    if against := mirrored(measured, evidence, fixes, fit) or upside_down(measured, evidence, fixes, used):
+    evidence, fit = believed(rough, fixes, up, near, tuning)
+    if against := mirrored(measured, evidence, fixes, fit) or upside_down(measured, evidence, fixes, up):
         return NotPlaced(against, contradicts=True)
     rows = _stated(fixes, scene, weighed.extra_m, tuning.fixes)
     first, fit = fit, by_errors(evidence, None, fit, rows, tuning)
     if estimate is None and not moving and not _significant(fit, evidence):  # positions of the cameras by name
-        evidence, first, _ = believed(replace(rough, free=frozenset()), fixes, up, first.similarity, tuning)
+        evidence, first = believed(replace(rough, free=frozenset()), fixes, up, first.similarity, tuning)
         fit = by_errors(evidence, None, first, rows, tuning)
     notes = [note]
     if up is not None:

@@ -22,16 +22,15 @@ RIGHT_ANGLE_DEG = 90.0  # an angle with a larger sigma is unknown
 
 def believed(
     evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, tuning: WorldTuning
-) -> tuple[Evidence, Fit, Up | None]:
-    """The evidence with the sigmas of the fixes, its first rows, scaled to their residuals; its fit; and the upward
-    direction of the cameras if it was used."""
+) -> tuple[Evidence, Fit]:
+    """The evidence with the sigmas of the fixes, its first rows, scaled to their residuals; and its fit."""
     used, count = up_to_use(evidence, up, tuning, near)[0], len(fixes)
     fit = fit_similarity(evidence, used, tuning.fit, near)
     for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
         factor = factors(fit.residuals(evidence)[:count] / fixes.sigma, fixes.level, fixes.time_s, tuning.noise)
         evidence = replace(evidence, sigma=np.concatenate([fixes.sigma * factor[:, None], evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, fit.similarity)
-    return evidence, fit, used
+    return evidence, fit
 
 
 def up_to_use(
@@ -122,7 +121,7 @@ def _exchanged(
     stated, turn = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]]), [1, 0, 2]
     turned = replace(evidence, position=evidence.position[:, turn], sigma=stated[:, turn])
     start = fit_similarity(turned, None, tuning.fit).similarity
-    turned, other, _ = believed(turned, replace(fixes, sigma=fixes.sigma[:, turn]), None, start, tuning)
+    turned, other = believed(turned, replace(fixes, sigma=fixes.sigma[:, turn]), None, start, tuning)
     rows = fit.inlier | other.inlier
     return rows, [fit.residuals(evidence)[rows], other.residuals(turned)[rows]], other.similarity
 
