@@ -30,7 +30,7 @@ class MatchPredictionTuning(Section):
 
 
 class NetTuning(Section):
-    """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`)."""
+    """The network as a one-dimensional adjustment of its tracks (`tracks.py`)."""
 
     wide_images: int = Field(300, gt=0)
     """Images of a track: a larger one, made by wrong matches, counts as one for each so many images in a row.

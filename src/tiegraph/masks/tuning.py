@@ -307,7 +307,7 @@ class SkyPointsTuning(Section):
 
 
 class RefineTuning(Section):
-    """Corrections of the first masks by the model (`pipeline/refine.py`)."""
+    """Corrections of the first masks by the model."""
 
     most_views: int = Field(240, gt=0)
     """Views whose waterlines measure the water's height."""

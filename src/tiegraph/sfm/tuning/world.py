@@ -8,7 +8,7 @@ from tiegraph.settings import Section
 
 
 class FixTuning(Section):
-    """Measured positions, for the mapper (`database.py`) and connected to the poses around their time (`fixes.py`)."""
+    """Measured positions, for the mapper and connected to the poses around their time (`fixes.py`)."""
 
     held_out_every: int = Field(5, ge=2)
     """ALGORITHMS: every fifth position is left out of the fit to examine its residual."""
