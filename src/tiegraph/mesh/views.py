@@ -16,7 +16,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.mesh.surface import Mesh, hanging, pieces
 from tiegraph.mesh.tuning import ViewTuning
-from tiegraph.scene.results import DepthMap, border_share
+from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 from tiegraph.scene.sorting import Arrays
 
 UNSEEN = -1
@@ -68,7 +68,7 @@ def seen_by(camera: Pinhole, mesh: Mesh, mask: np.ndarray, own: DepthMap | None,
         column, row = (np.clip((place / scale).astype(int)[:, a], 0, size[a] - 1) for a in (0, 1))
         plain &= there <= depth[row, column] + play
         free &= there <= depth[row, column] + play + rough
-    confirmed = _confirmed(own, at, deep, play, camera.size, tuning)
+    confirmed = _confirmed(own, at, deep, play, camera.size)
     away = border_share(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
     free &= (away > 0) & (confirmed >= 0)
     inner = np.minimum(1.0, away / tuning.border)
@@ -90,7 +90,7 @@ def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int,
 
 
 def _confirmed(
-    own: DepthMap | None, at: np.ndarray, deep: np.ndarray, play: np.ndarray, size: tuple[int, int], tuning: ViewTuning
+    own: DepthMap | None, at: np.ndarray, deep: np.ndarray, play: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
     """(N,) 1 where the image's own depth is that of the places, 0 where it has none, -1 where it lies before them."""
     if own is None:
@@ -99,7 +99,7 @@ def _confirmed(
     ratio = np.array([wide, high]) / np.array(size)
     column, row = (np.clip((at * ratio).astype(int)[:, a], 0, (wide, high)[a] - 1) for a in (0, 1))
     behind = deep - own.depth_m[row, column]
-    close = play * max(1.0, 1 / float(ratio.min())) + tuning.shade_sigmas * own.sigma_m[row, column]
+    close = play * max(1.0, 1 / float(ratio.min())) + APART_SIGMAS * own.sigma_m[row, column]
     with np.errstate(invalid="ignore"):
         return np.where(behind > close, -1.0, np.where(np.abs(behind) <= close, 1.0, 0.0))
 

@@ -14,7 +14,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.products.surface import Surface, Window, project
 from tiegraph.products.tuning import OrthoTuning
-from tiegraph.scene.results import DepthMap, border_share
+from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 
 _NOTHING = np.float32(1e30)  # a depth
 _STEEPEST = 5.0  # tangent of the incidence angle, for the tolerance of its depth
@@ -161,9 +161,9 @@ def score(view: Pinhole, buffer: Buffer, ground: Ground, surface: Surface, tunin
     front = np.einsum("nk,nk->n", towards, ground.normal[there])
     steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / np.maximum(front, 1e-9), _STEEPEST)
     size = z / view.focal
-    play = size * buffer.scale.max() * (1 + 2 * steep) + tuning.shade_sigmas * ground.sigma[there]
+    play = size * buffer.scale.max() * (1 + 2 * steep) + APART_SIGMAS * ground.sigma[there]
     behind = z - buffer.own[row, column]  # NaN where the image has no depth, which neither hides nor confirms
-    close = play + tuning.shade_sigmas * buffer.own_sigma[row, column]
+    close = play + APART_SIGMAS * buffer.own_sigma[row, column]
     free = (front > 0) & (z <= buffer.depth[row, column] + play) & ~(behind > close)
     free &= size < tuning.coarsest * surface.pixel_m
     away = np.maximum(towards @ surface.surface_from_world[2, :3], 0)

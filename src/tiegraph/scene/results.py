@@ -32,6 +32,8 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
+APART_SIGMAS = 3.0  # depths and heights that differ by more of their standard deviations are of two surfaces
+
 
 @dataclass(frozen=True, repr=False)
 class DepthMap:
