@@ -268,7 +268,8 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     )
     error = evaluate_trajectory(match, _RPE_M, tunings.evaluate.trajectory)
     judged = _Judged(run, world, reference, match, run.scene.section[frame], tunings.evaluate)
-    columns = {"all": {**run.seconds, **judged.column(None)}}
+    seconds = {f"{row} [s]": value for row, value in run.seconds.items()}
+    columns = {"all": {**seconds, **judged.column(None)}}
     sections = np.unique(run.scene.section[run.scene.section >= 0])
     columns |= {f"section {s}": judged.column(int(s)) for s in sections if len(sections) > 1}
     rows = [[row, *(column.get(row, np.nan) for column in columns.values())] for row in columns["all"]]
