@@ -5,7 +5,6 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.mesh.surface import Mesh
-from tiegraph.mesh.views import View
 from tiegraph.scene.results import Cloud, DepthMap
 
 SIZE = np.array([4.0, 3.0, 2.0])  # from (0, 0, 0)
@@ -92,7 +91,7 @@ def view(name, centre, focal=500.0, size=(480, 360), target=SIZE / 2):
     x /= np.linalg.norm(x)
     turn = np.stack([x, np.cross(z, x), z])
     K = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
-    return View(name, Pinhole(K, transforms.rigid(turn, -turn @ np.asarray(centre, float)), size))
+    return Pinhole(K, transforms.rigid(turn, -turn @ np.asarray(centre, float)), size=size, name=name)
 
 
 def views(count=10):
@@ -104,7 +103,7 @@ def views(count=10):
 
 def seen(one):
     """(H, W) depth of the box, NaN = none, and the places (H, W, 3) that a view sees."""
-    camera = one.camera
+    camera = one
     width, height = camera.size
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     back = transforms.invert(camera.cam_from_world)
@@ -131,6 +130,6 @@ def depth_map(one):
         depth_m=depth,
         sigma_m=np.full(depth.shape, NOISE_M, np.float32),
         views=np.full(depth.shape, 3, np.uint8),
-        K=one.camera.K,
-        cam_from_world=one.camera.cam_from_world,
+        K=one.K,
+        cam_from_world=one.cam_from_world,
     )

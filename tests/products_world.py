@@ -7,7 +7,7 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.products.surface import Surface, View
+from tiegraph.products.surface import Surface
 from tiegraph.scene.results import Cloud
 
 SIZE, BOX, ROOF = (8.0, 6.0), ((3.0, 5.0), (2.0, 4.0)), 2.0  # of the plane from (0, 0), of the box in u and v; w
@@ -83,7 +83,7 @@ class Scene:
         turn = np.stack([x, np.cross(z, x), z])
         pose = transforms.rigid(turn, -turn @ np.asarray(centre, float))
         K = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
-        return View(name, Pinhole(K, pose @ transforms.invert(self.world_from_surface), size))
+        return Pinhole(K, pose @ transforms.invert(self.world_from_surface), size=size, name=name)
 
     def views(self):
         """Nine cameras in a grid at a distance of 9, that overlap by more than half."""
@@ -97,13 +97,13 @@ class Scene:
         return _PICTURES[view.name]
 
     def _rendered(self, view):
-        surface_from_cam = transforms.invert(view.camera.cam_from_world @ self.world_from_surface)
-        width, high = view.camera.size
+        surface_from_cam = transforms.invert(view.cam_from_world @ self.world_from_surface)
+        width, high = view.size
         total = np.zeros((high, width, 3))
         for dx in (0.25, 0.75):
             for dy in (0.25, 0.75):
                 x, y = np.meshgrid(np.arange(width) + dx, np.arange(high) + dy)
-                ray = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(view.camera.K).T
+                ray = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(view.K).T
                 total += self._seen(surface_from_cam[:3, 3], ray @ surface_from_cam[:3, :3].T)
         return np.rint(total / 4).astype(np.uint8)
 

@@ -10,7 +10,7 @@ from lidar.lidar_world import START_S, turns, world_from_lidar
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.lidar.handeye import Given, Poses, hand_eye, rig_in_lidar_world, settled
+from tiegraph.lidar.handeye import Poses, hand_eye, rig_in_lidar_world, settled
 from tiegraph.lidar.pointtie import tie_by_points
 from tiegraph.pipeline.lidar import SurveyRun, calibrated, compared
 from tiegraph.project.settings import VerbTunings
@@ -44,7 +44,7 @@ def _both(seconds: float = 12, wobble: float = 1.0, noise: float = 1.0, seed: in
 @pytest.mark.slow
 def test_place_clock_and_scale_of_a_wobbling_path() -> None:
     rig, lidar = _both()
-    found = hand_eye(rig, lidar, Given())
+    found = hand_eye(rig, lidar)
     off = found.rig_from_lidar[:3, 3] - _PLACE[:3, 3]
     assert 0 < abs(found.clock_s - _CLOCK_S) < 0.005 and found.clock_sigma_s < 0.005
     assert np.abs(off).max() < 0.02
@@ -56,7 +56,7 @@ def test_place_clock_and_scale_of_a_wobbling_path() -> None:
 @pytest.mark.slow
 def test_a_straight_path_says_what_it_leaves_open() -> None:
     rig, lidar = _both(wobble=0.0)
-    found = hand_eye(rig, lidar, Given(clock_s=_CLOCK_S))
+    found = hand_eye(rig, lidar, clock_s=_CLOCK_S)
     assert found.clock_s == _CLOCK_S and np.isnan(found.clock_sigma_s)
     assert sum("lever arm" in what for what in found.left_open) == 3
     assert any("turn about" in what for what in found.left_open)
@@ -65,21 +65,21 @@ def test_a_straight_path_says_what_it_leaves_open() -> None:
 
 def test_given_place_and_times_apart() -> None:
     rig, lidar = _both(seconds=6)
-    found = hand_eye(rig, lidar, Given(_PLACE, _CLOCK_S))
+    found = hand_eye(rig, lidar, _PLACE, _CLOCK_S)
     np.testing.assert_allclose(found.rig_from_lidar, _PLACE, atol=1e-12)
     assert np.isnan(found.place_sigma_m).all() and found.left_open == ()
     there = rig_in_lidar_world(lidar, rig.time_s, found)
     assert np.isfinite(there).any()
     far = Poses(rig.time_s + 100, rig.poses, rig.group)
     with pytest.raises(InputError, match="frames in common.*--clock-s"):
-        hand_eye(far, lidar, Given())
+        hand_eye(far, lidar)
 
 
 @pytest.mark.slow
 def test_points_tell_the_lever_arm_where_the_motion_does_not() -> None:
     """Six frames: by the motion decimetres, by points of the run on the surfaces of the map a centimetre."""
     rig, lidar = _both(seconds=4, wobble=0.3, noise=2)
-    found = hand_eye(rig, lidar, Given())
+    found = hand_eye(rig, lidar)
     assert found.place_sigma_m.max() > 0.02
     rng = np.random.default_rng(5)
     sides = np.concatenate([_plane(rng, axis, at) for axis in range(3) for at in (-6.0, 6.0)])
@@ -142,7 +142,7 @@ def test_a_run_beside_the_lidar() -> None:
         cloud=_cloud(hall[::5] + [0, 0, off_m]),
         seconds={"SfM": 60.0, "Overall processing": 90.0},
     )
-    found = calibrated(run, lidar, _cloud(hall), Given())
+    found = calibrated(run, lidar, _cloud(hall))
     assert np.abs(found.rig_from_lidar[:3, 3] - _BESIDE[:3, 3]).max() < 0.01
     assert abs(found.clock_s) < 0.005
     told = compared(run, lidar, _cloud(hall), found, VerbTunings())
@@ -168,7 +168,7 @@ def test_another_survey_is_noticed() -> None:
     rig = Poses(time_s, world_from_lidar(START_S + 3 * (time_s[::-1] - START_S)), np.zeros(12, int))
     run = SurveyRun(_scene(12), rig, np.arange(12), np.ones(24, bool), points=np.zeros((0, 3)), cloud=None, seconds={})
     lidar, reference = Poses(scans, world_from_lidar(scans), np.zeros(len(scans), int)), _cloud(np.ones((3, 3)))
-    found = calibrated(run, lidar, reference, Given())
+    found = calibrated(run, lidar, reference)
     assert found.tie is None
     notes = compared(run, lidar, reference, found, VerbTunings())["run_notes"]
     assert any("are these one survey" in note for note in notes)

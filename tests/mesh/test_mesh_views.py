@@ -8,7 +8,7 @@ import pytest
 import mesh_world as world
 from tiegraph.geometry import transforms
 from tiegraph.mesh.tuning import ViewTuning
-from tiegraph.mesh.views import UNSEEN, Seen, chosen, patches, project, seen_by, without_bubbles
+from tiegraph.mesh.views import UNSEEN, Seen, chosen, patches, seen_by, without_bubbles
 
 TUNING = ViewTuning()
 ALL = np.ones((360, 480), bool)
@@ -32,7 +32,7 @@ def test_an_image_sees_what_faces_it_and_nothing_hides(mesh, seen):
     """The truth: a ray from the camera, or through a pixel beside, meets the box there first."""
     for view, found in zip(world.views(), seen):
         depth = world.seen(view)[0]
-        xy, z = project(view.camera, middles(mesh))
+        xy, z = view.project(middles(mesh))
         column, row = np.clip(xy.astype(int), 1, [478, 358]).T
         around = [depth[row + y, column + x] for y in (-1, 0, 1) for x in (-1, 0, 1)]
         truly = (np.abs(np.array(around) - z) < 0.1).any(axis=0)
@@ -40,7 +40,7 @@ def test_an_image_sees_what_faces_it_and_nothing_hides(mesh, seen):
         got[found.face] = True
         hidden = (got & ~truly)[found.face]  # behind an edge by less than a face: such an image hardly counts
         assert hidden.sum() < 10 and found.quality[hidden].max(initial=0.0) < 0.01 * np.median(found.quality)
-        towards = transforms.centre(view.camera.cam_from_world) - middles(mesh)
+        towards = transforms.centre(view.cam_from_world) - middles(mesh)
         plain = truly & (np.einsum("nk,nk->n", towards, mesh.normals) > 0.1 * np.linalg.norm(towards, axis=1))
         assert (got & plain).sum() > 0.95 * plain.sum()
 
@@ -52,7 +52,7 @@ def test_what_stands_before_the_mesh_in_the_image_is_not_its_colour(mesh, seen):
     person[150:220, 200:260] -= 1.5
     found = seen_by(view, mesh, ALL, replace(own, depth_m=person), TUNING)
     lost = np.setdiff1d(seen[0].face, found.face)
-    x, y = project(view.camera, middles(mesh))[0][lost].T
+    x, y = view.project(middles(mesh))[0][lost].T
     assert len(lost) > 20 and (x > 195).all() and (x < 265).all() and (y > 145).all() and (y < 225).all()
 
 
@@ -61,10 +61,10 @@ def test_masks_are_respected_and_faces_beside_them_count_less(mesh, seen):
     mask = ALL.copy()
     mask[:, 240:] = False
     found = seen_by(view, mesh, mask, world.depth_map(view), TUNING)
-    assert len(found.face) and (project(view.camera, middles(mesh))[0][found.face, 0] < 240).all()
+    assert len(found.face) and (view.project(middles(mesh))[0][found.face, 0] < 240).all()
     before = dict(zip(seen[0].face.tolist(), seen[0].quality.tolist()))
     share = np.array([q / before[f] for f, q in zip(found.face.tolist(), found.quality.tolist())])
-    beside = project(view.camera, middles(mesh))[0][found.face, 0] > 232
+    beside = view.project(middles(mesh))[0][found.face, 0] > 232
     assert (share <= 1.0001).all() and (share[beside] < 0.6).all() and np.median(share) > 0.95
 
 

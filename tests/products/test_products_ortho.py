@@ -105,8 +105,8 @@ def test_the_source_of_a_pixel_saw_it(ortho, images):
     for k, view in enumerate(images.views):
         own = source == k + 1
         assert own.any()
-        assert np.isfinite(project(view.camera, xyz[own])[2]).all()
-        centre = np.linalg.inv(view.camera.cam_from_world)[:3, 3]
+        assert np.isfinite(project(view, xyz[own])[2]).all()
+        centre = np.linalg.inv(view.cam_from_world)[:3, 3]
         for t in np.linspace(0.02, 0.98, 60):  # the way to the camera is free, but for what lies at its very edge
             at = xyz[own] + t * (centre - xyz[own])
             hidden = (at[:, 2] < ROOF - 3 * PIXEL) & in_box(at[:, 0] + 1e-9, at[:, 1])
@@ -159,7 +159,7 @@ def test_masked_pixels_and_what_a_depth_map_has_in_front_are_not_taken():
     masked = draw(view, surface, heights, mask, None, TUNING)
     near = np.full((90, 120), np.nan, np.float32)
     near[:, 60:70] = 3.0  # a mast at a third of the way
-    pose, K = view.camera.cam_from_world, view.camera.K / [[4], [4], [1]]
+    pose, K = view.cam_from_world, view.K / [[4], [4], [1]]
     own = DepthMap("a", near, np.full(near.shape, 0.01, np.float32), np.zeros(near.shape, np.uint8), K, pose)
     mast = draw(view, surface, heights, np.ones((360, 480), bool), own, TUNING)
     rgb, u = MAP.picture(view), grid()[0]

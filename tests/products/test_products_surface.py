@@ -99,6 +99,6 @@ def test_the_box_around_a_window_holds_its_pixels():
 
 def test_a_point_behind_a_camera_or_beside_its_image_is_not_seen():
     view = MAP.view("a", (4, 3, 9.0), (4, 3.001, 0.0))
-    x, y, z = project(view.camera, np.array([[4, 3, 0], [4, 3, 12], [9.5, 3, 0.0]]))
+    x, y, z = project(view, np.array([[4, 3, 0], [4, 3, 12], [9.5, 3, 0.0]]))
     np.testing.assert_allclose([x[0], y[0], z[0]], [240, 180, 9], atol=0.1)
     assert np.isnan([x[1:], y[1:], z[1:]]).all()

@@ -73,7 +73,7 @@ def test_the_datum_tokyo_becomes_wgs84() -> None:
     found = facts({18: "TOKYO"}, **HERE)
     assert found.lat_deg - 35.5 == pytest.approx(11.7 / 3600, abs=0.3 / 3600)  # of Japan's maps before 2002: 450 m
     assert found.lon_deg - 139.25 == pytest.approx(-11.5 / 3600, abs=0.3 / 3600)
-    assert found.position_sigma_m == 9.0
+    assert found.sigma_m == 9.0
 
 
 DJI = (
@@ -111,7 +111,7 @@ def test_accuracies_in_xmp(tmp_path: Path) -> None:
 def test_exif_that_stands_in_xmp_alone() -> None:
     lens = 'tiff:Make="DJI" tiff:Model="FC6310" exif:FocalLengthIn35mmFilm="24" exif:FocalLength="88/10"'
     found = facts(xmp=f'{lens} exif:DateTimeOriginal="2023-05-01T18:00:10.25+09:00"')
-    assert (found.make, found.model, found.focal_mm, found.time_utc) == ("DJI", "FC6310", 8.8, True)
+    assert (found.make, found.model, found.focal_mm, found.utc) == ("DJI", "FC6310", 8.8, True)
     assert found.focal_px == pytest.approx(5000 * 24 / 43.27) and found.time_s == 1682931610.25
 
 
@@ -133,7 +133,7 @@ UTC_S = 1682931610.0  # 2023-05-01 09:00:10
 )
 def test_times_and_zones_of_every_tag(detail: dict, base: dict, time_s: float, utc: bool) -> None:
     found = facts(detail=detail, base=base)
-    assert (found.time_s, found.time_utc) == (pytest.approx(time_s, nan_ok=True, abs=1e-4), utc)
+    assert (found.time_s, found.utc) == (pytest.approx(time_s, nan_ok=True, abs=1e-4), utc)
 
 
 def test_the_receivers_time_tells_the_zone_of_the_cameras_clock(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
     found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif), ImageTuning()).exif
     assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)
     assert (found.lat_deg, found.lon_deg, found.height_m) == pytest.approx((35.5, -120.25, -3.0), abs=1e-7)
-    assert found.time_s == pytest.approx(1694739600.25) and found.time_utc  # 01:00:00.25 UTC
+    assert found.time_s == pytest.approx(1694739600.25) and found.utc  # 01:00:00.25 UTC
     assert (found.make, found.model) == ("Canon", "EOS")
 
 
@@ -298,7 +298,7 @@ def test_phone_photographs_of_a_hill() -> None:
     # iPhone 5s: 29 mm equivalent on 1224 x 918 pixels; about 1040 px from the sensor's data sheet (4.15 mm on 4.89 mm).
     assert 980 < found.focal_px < 1060
     assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0
-    assert found.position_sigma_m == 5.0 and not found.time_utc
+    assert found.sigma_m == 5.0 and not found.utc
 
 
 @pytest.mark.parametrize(("written", "read"), [(8, 8), (3, 3), (9, 1), (0, 1), (None, 1)])

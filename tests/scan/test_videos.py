@@ -228,7 +228,7 @@ def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
     )
     found = [exif(f) for f in sorted((tmp_path / "out").glob("*.jpg"))]
     assert [e.time_s for e in found] == pytest.approx([START + 0.25 + s for s in taken.stamps_s], abs=1e-6)
-    assert all(e.time_utc for e in found) and len(found) == 4
+    assert all(e.utc for e in found) and len(found) == 4
     assert all(np.isnan(e.lat_deg) for e in found)
 
 
@@ -237,15 +237,15 @@ def exif(file: Path) -> Exif:
         return read_exif(image, image.size, (0.3, 10.0))
 
 
-@pytest.mark.parametrize("taken", [Taken(START + 0.123456, True, -41.4247244, 2.2341561, -3.21, 11.5),
-                                   Taken(12.5, False, 0.0000123, -179.9999999)])  # fmt: skip
+@pytest.mark.parametrize("taken", [Taken(-41.4247244, 2.2341561, -3.21, 11.5, time_s=START + 0.123456, utc=True),
+                                   Taken(0.0000123, -179.9999999, time_s=12.5)])  # fmt: skip
 def test_what_is_written_is_read_again(tmp_path: Path, taken: Taken) -> None:
     Image.new("RGB", (40, 30)).save(tmp_path / "a.jpg", exif=exif_of(taken))
     found = exif(tmp_path / "a.jpg")
-    assert found.time_s == pytest.approx(taken.time_s, abs=1e-6) and found.time_utc == taken.utc
+    assert found.time_s == pytest.approx(taken.time_s, abs=1e-6) and found.utc == taken.utc
     assert (found.lat_deg, found.lon_deg) == pytest.approx((taken.lat_deg, taken.lon_deg), abs=1e-9)
     assert found.height_m == pytest.approx(taken.height_m, abs=1e-3, nan_ok=True)
-    assert found.position_sigma_m == pytest.approx(taken.sigma_m, abs=1e-3, nan_ok=True)
+    assert found.sigma_m == pytest.approx(taken.sigma_m, abs=1e-3, nan_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def view_through(pinhole: CameraModel, view: ViewPlan, images: Path, masks: Path
 def pinhole(view: ViewPlan, settings: DenseSettings) -> Pinhole:
     """The undistorted camera of an image, without reading it."""
     K, size = pinhole_of(view.camera, settings)
-    return Pinhole(K, view.cam_from_world, size)
+    return Pinhole(K, view.cam_from_world, size=size, name=view.name)
 
 
 def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:

@@ -24,11 +24,29 @@ _MAX_SHIFT = 0.85  # disparity / focal length: rays that meet at more than 40 de
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """An undistorted camera: K (3, 3) px, cam_from_world (4, 4), size (width, height) px."""
+    """An undistorted camera: K (3, 3) px, cam_from_world (4, 4), size (width, height) px; name of its image."""
 
     K: np.ndarray
     cam_from_world: np.ndarray
     size: tuple[int, int]
+    name: str = ""
+
+    @property
+    def focal(self) -> float:
+        """Pixels per unit of tangent."""
+        return float(np.sqrt(self.K[0, 0] * self.K[1, 1]))
+
+    def project(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixel coordinates (..., 2) of world points (..., 3), and their depths (...); NaN behind the camera."""
+        seen = xyz @ self.cam_from_world[:3, :3].T + self.cam_from_world[:3, 3]
+        z = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        x = self.K[0, 0] * seen[..., 0] / z + self.K[0, 2]
+        y = self.K[1, 1] * seen[..., 1] / z + self.K[1, 2]
+        return np.stack([x, y], axis=-1), z
+
+    def inside(self, xy: np.ndarray) -> np.ndarray:
+        """Whether pixel coordinates (..., 2) lie in the image, NaN never: (...) bool."""
+        return np.all((xy >= 0) & (xy <= self.size), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

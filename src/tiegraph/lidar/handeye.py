@@ -42,14 +42,6 @@ class Poses(Columns):
 
 
 @dataclass(frozen=True)
-class Given:
-    """What the user says: rig_from_lidar (4, 4), clock_s; None = to be estimated."""
-
-    rig_from_lidar: np.ndarray | None = None
-    clock_s: float | None = None
-
-
-@dataclass(frozen=True)
 class HandEye:
     """A LiDAR on a rig. LiDAR time = frame time + ``clock_s``; ``scale``: metres of the LiDAR in a unit of the run;
     sigmas of turn (3,) about the rig's axes, degrees, of place (3,), of clock and scale; NaN = given. ``left_open``:
@@ -76,12 +68,14 @@ class Fit:
     step_rms_m: float
 
 
-def hand_eye(rig: Poses, lidar: Poses, given: Given) -> HandEye:
-    """The place of a LiDAR on a rig by their trajectories.
+def hand_eye(
+    rig: Poses, lidar: Poses, rig_from_lidar: np.ndarray | None = None, clock_s: float | None = None
+) -> HandEye:
+    """The place (4, 4) of a LiDAR on a rig, and its clock, by their trajectories; what is given is held.
 
     Raises InputError where too few frames were taken within the LiDAR's times.
     """
-    found = _Problem(rig, lidar, given)
+    found = _Problem(rig, lidar, rig_from_lidar, clock_s)
     values = found.best()
     for _ in range(4):  # of measuring the sigmas
         found.measure(values)
@@ -173,14 +167,14 @@ class _Path:
 class _Problem:
     """Relative motions of both sides, and what is known of them."""
 
-    def __init__(self, rig: Poses, lidar: Poses, given: Given) -> None:
-        self.rig, self.given = rig, given
+    def __init__(self, rig: Poses, lidar: Poses, rig_from_lidar: np.ndarray | None, clock_s: float | None) -> None:
+        self.rig, self.rig_from_lidar, self.clock_s = rig, rig_from_lidar, clock_s
         self.path = _Path(lidar)
         self.sigma = np.radians(0.05), 0.01  # a first guess; then they are measured by the residuals
         self.free = np.ones(8, bool)
-        self.free[:6] = given.rig_from_lidar is None
-        self.free[_CLOCK] = given.clock_s is None
-        self._pairs(0.0 if given.clock_s is None else given.clock_s, np.ones(len(rig.time_s), bool))
+        self.free[:6] = rig_from_lidar is None
+        self.free[_CLOCK] = clock_s is None
+        self._pairs(clock_s or 0.0, np.ones(len(rig.time_s), bool))
 
     def inside(self, clock_s: float) -> np.ndarray:
         """(F,) bool: frames within the LiDAR's times."""
@@ -224,7 +218,7 @@ class _Problem:
     def best(self) -> np.ndarray:
         """The best of starts with different clock offsets, refined."""
         reach = np.arange(0, _SEARCH_S + 1e-9, 0.05)
-        clocks = np.concatenate([-reach[:0:-1], reach]) if self.given.clock_s is None else [self.given.clock_s]
+        clocks = np.concatenate([-reach[:0:-1], reach]) if self.clock_s is None else [self.clock_s]
         all_kept = np.ones(len(self.rig.time_s), bool)
         starts = []
         for clock in clocks:
@@ -259,9 +253,9 @@ class _Problem:
         turns = self.turn.as_rotvec(), Rotation.from_matrix(moved[:, :3, :3]).as_rotvec()
         scale = np.linalg.norm(moved[:, :3, 3], axis=1).sum() / max(np.linalg.norm(self.step, axis=1).sum(), 1e-12)
         values = np.array([0, 0, 0, 0, 0, 0, np.log(max(scale, 1e-12)), clock_s])
-        if self.given.rig_from_lidar is not None:
-            values[_TURN] = Rotation.from_matrix(self.given.rig_from_lidar[:3, :3]).as_rotvec()
-            values[_PLACE] = self.given.rig_from_lidar[:3, 3]
+        if self.rig_from_lidar is not None:
+            values[_TURN] = Rotation.from_matrix(self.rig_from_lidar[:3, :3]).as_rotvec()
+            values[_PLACE] = self.rig_from_lidar[:3, 3]
             return values
         outer = (turns[0] / self.sigma[0] ** 2).T @ turns[1]
         outer += (scale * self.step / self.sigma[1] ** 2).T @ moved[:, :3, 3]

@@ -18,9 +18,10 @@ from scipy.sparse import coo_matrix, csr_matrix, diags, identity
 from scipy.sparse.linalg import cg
 
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry.stereo import Pinhole
 from tiegraph.mesh.surface import Mesh
 from tiegraph.mesh.tuning import TextureTuning
-from tiegraph.mesh.views import UNSEEN, View, focal, fragments, patches, project
+from tiegraph.mesh.views import UNSEEN, fragments, patches
 from tiegraph.scene.sorting import Arrays
 
 PAD = 2
@@ -67,7 +68,7 @@ class Nodes(Arrays):
     beside: np.ndarray
 
 
-def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[View], edge: int, most: int) -> Layout:
+def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[Pinhole], edge: int, most: int) -> Layout:
     """The patches of a mesh on at most ``most`` textures with an ``edge`` of so many pixels. Raises ReconstructionError
     if there are too many for any size."""
     pairs = mesh.neighbours()
@@ -98,7 +99,7 @@ def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[View], edge: int, mo
 
 
 def _rectangles(
-    mesh: Mesh, patch: np.ndarray, image: np.ndarray, views: Sequence[View]
+    mesh: Mesh, patch: np.ndarray, image: np.ndarray, views: Sequence[Pinhole]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each patch the rectangle in its image, low (P, 2) and size (P, 2), and how large (P,) a pixel of it is."""
     low, high = np.full((len(image), 2), np.inf), np.full((len(image), 2), -np.inf)
@@ -106,10 +107,10 @@ def _rectangles(
     of_image = np.where(patch == UNSEEN, UNSEEN, image[patch] if len(image) else UNSEEN)
     for k in np.unique(image):
         face = np.flatnonzero(of_image == k)
-        xy, z = project(views[k].camera, mesh.xyz[mesh.corners[face]])
+        xy, z = views[k].project(mesh.xyz[mesh.corners[face]])
         np.minimum.at(low, patch[face], xy.min(axis=1))
         np.maximum.at(high, patch[face], xy.max(axis=1))
-        np.add.at(total[0], patch[face], z.mean(axis=1) / focal(views[k].camera))
+        np.add.at(total[0], patch[face], z.mean(axis=1) / views[k].focal)
         np.add.at(total[1], patch[face], 1.0)
     first = np.maximum(np.floor(low), 0).astype(int)
     return first, np.maximum(np.ceil(high).astype(int) - first, 1), total[0] / np.maximum(total[1], 1.0)
@@ -179,13 +180,13 @@ def _pack(size: np.ndarray, edge: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return page, at, np.array([[wide, max(t, 1)] for t in top])
 
 
-def places(mesh: Mesh, layout: Layout, views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+def places(mesh: Mesh, layout: Layout, views: Sequence[Pinhole]) -> tuple[np.ndarray, np.ndarray]:
     """Where the corners of faces are on the textures: (F, 3, 2) pixels, and the texture (F,) of each face."""
     uv, page = np.zeros((len(mesh.corners), 3, 2)), np.zeros(len(mesh.corners), int)
     for k in np.unique(layout.image):
         face = own_faces(layout, k)
         patch = layout.patch[face]
-        xy = project(views[k].camera, mesh.xyz[mesh.corners[face]])[0]
+        xy = views[k].project(mesh.xyz[mesh.corners[face]])[0]
         scale = layout.inner[patch] / layout.size[patch]
         uv[face] = layout.at[patch][:, None] + (xy - layout.low[patch][:, None]) * scale[:, None]
         page[face] = layout.page[patch]
@@ -254,19 +255,19 @@ def own_sides(layout: Layout, nodes: Nodes, k: int) -> np.ndarray:
     return np.argwhere(layout.image[nodes.patch[nodes.seam[:, [0, 2]]]] == k)
 
 
-def edge_colours(rgb: np.ndarray, mesh: Mesh, nodes: Nodes, sides: np.ndarray, view: View) -> np.ndarray:
+def edge_colours(rgb: np.ndarray, mesh: Mesh, nodes: Nodes, sides: np.ndarray, view: Pinhole) -> np.ndarray:
     """RGB (M, 3) f4 that an image has along the edges of seams on its sides (M, 2), the mean of each; a little within
     its own face, for beyond the edge may be the background."""
     ends = mesh.xyz[nodes.vertex[nodes.seam[sides[:, 0], :2]]]
     share = (np.arange(_ALONG) + 0.5) / _ALONG
     places = ends[:, :1] + share[:, None] * (ends[:, 1:] - ends[:, :1])
     places += _WITHIN * (mesh.xyz[nodes.beside[tuple(sides.T)]] - ends.mean(axis=1))[:, None]
-    return _sampled(rgb, project(view.camera, places.reshape(-1, 3))[0]).reshape(-1, _ALONG, 3).mean(axis=1)
+    return _sampled(rgb, view.project(places.reshape(-1, 3))[0]).reshape(-1, _ALONG, 3).mean(axis=1)
 
 
-def face_colours(rgb: np.ndarray, mesh: Mesh, faces: np.ndarray, view: View) -> np.ndarray:
+def face_colours(rgb: np.ndarray, mesh: Mesh, faces: np.ndarray, view: Pinhole) -> np.ndarray:
     """RGB (M, 3) f4 that an image has in the middle of faces."""
-    return _sampled(rgb, project(view.camera, mesh.xyz[mesh.corners[faces]].mean(axis=1))[0])
+    return _sampled(rgb, view.project(mesh.xyz[mesh.corners[faces]].mean(axis=1))[0])
 
 
 def _sampled(rgb: np.ndarray, xy: np.ndarray) -> np.ndarray:

@@ -35,8 +35,6 @@ class ViewTuning(Section):
     """Weight of an image whose own depth map has no depth there, beside one that has the surface's."""
     nearly: float = Field(0.05, ge=0, le=1)
     """Weight of an image from which a face lies behind others by less than the size of a face: of a rough surface."""
-    shade_sigmas: float = Field(3.0, gt=0)
-    """What lies this many standard deviations behind what the image saw is hidden: as of the orthophoto."""
     together: float = Field(4.0, ge=0)
     """How strongly neighbours want one image: a face goes along with all its neighbours unless its own best image is
     exp(4) times as good."""

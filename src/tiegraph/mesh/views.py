@@ -16,7 +16,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.mesh.surface import Mesh, hanging, pieces
 from tiegraph.mesh.tuning import ViewTuning
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 from tiegraph.scene.sorting import Arrays
 
 UNSEEN = -1
@@ -29,14 +29,6 @@ _MOST_VIEWS = 8  # of a face that are compared: the best
 _ABSORBED = 3  # times that small patches go to their neighbours
 
 
-@dataclass(frozen=True)
-class View:
-    """An image that may give colour: its name and undistorted camera in the world."""
-
-    name: str
-    camera: Pinhole
-
-
 @dataclass(frozen=True, eq=False)
 class Seen(Arrays):
     """The faces (N,) that an image sees whole, and how well (N,) f4 it shows each: pixels in a unit of length,
@@ -46,33 +38,17 @@ class Seen(Arrays):
     quality: np.ndarray
 
 
-def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel coordinates (..., 2) of world points (..., 3), and their depths (...); NaN behind the camera."""
-    seen = xyz @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
-    z = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-    x = camera.K[0, 0] * seen[..., 0] / z + camera.K[0, 2]
-    y = camera.K[1, 1] * seen[..., 1] / z + camera.K[1, 2]
-    return np.stack([x, y], axis=-1), z
-
-
-def focal(camera: Pinhole) -> float:
-    """Pixels per unit of tangent."""
-    return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-
-
-def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuning: ViewTuning) -> Seen:
+def seen_by(camera: Pinhole, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuning: ViewTuning) -> Seen:
     """The faces of a mesh that an image sees whole, through the pixels of ``mask`` (H, W) bool; ``own``: its depth map,
     if it has one."""
-    camera = view.camera
-    xy, z = project(camera, mesh.xyz)
+    xy, z = camera.project(mesh.xyz)
     shrunk = min(1.0, _FINEST / max(camera.size))
     size = (max(1, round(camera.size[0] * shrunk)), max(1, round(camera.size[1] * shrunk)))
     scale = np.array(camera.size) / size
     corners = mesh.corners
     with np.errstate(invalid="ignore"):
-        there = (z > 0) & (xy >= 0).all(axis=1) & (xy <= camera.size).all(axis=1)
         out = [xy[:, 0] < 0, xy[:, 1] < 0, xy[:, 0] > camera.size[0], xy[:, 1] > camera.size[1]]
-    faces = np.flatnonzero(there[corners].all(axis=1))
+    faces = np.flatnonzero(camera.inside(xy)[corners].all(axis=1))
     beside = np.any([side[corners].all(axis=1) for side in out], axis=0)
     touching = (z > 0)[corners].all(axis=1) & ~beside
     depth = _drawn(xy / scale, z, corners[touching], size[::-1])
@@ -82,8 +58,8 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
     front = np.einsum("nk,nk->n", towards, mesh.normals[faces]) / np.where(distance > 0, distance, 1.0)
     faces, middle, front = faces[front > 0], middle[front > 0], front[front > 0]
     steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / front, _STEEPEST)
-    at, deep = project(camera, middle)
-    pixel = deep / focal(camera)
+    at, deep = camera.project(middle)
+    pixel = deep / camera.focal
     play = pixel * scale.max() * (1 + 2 * steep)
     rough = float(np.sqrt(np.median(np.linalg.norm(mesh.across, axis=1)))) if len(mesh.corners) else 0.0
     free, plain = np.ones(len(faces), bool), np.ones(len(faces), bool)
@@ -92,11 +68,8 @@ def seen_by(view: View, mesh: Mesh, mask: np.ndarray, own: DepthMap | None, tuni
         column, row = (np.clip((place / scale).astype(int)[:, a], 0, size[a] - 1) for a in (0, 1))
         plain &= there <= depth[row, column] + play
         free &= there <= depth[row, column] + play + rough
-    confirmed = _confirmed(own, at, deep, play, camera.size, tuning)
-    # Distance to the image border or mask as a share of the shorter side, 0 = masked
-    usable = np.pad(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999, 1)
-    away = cv2.distanceTransform(usable.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] / min(size)
-    away = away[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
+    confirmed = _confirmed(own, at, deep, play, camera.size)
+    away = border_share(mask, size)[tuple(np.clip((at / scale).astype(int)[:, a], 0, size[a] - 1) for a in (1, 0))]
     free &= (away > 0) & (confirmed >= 0)
     inner = np.minimum(1.0, away / tuning.border)
     share = _share_around(at / scale, confirmed, size)
@@ -117,7 +90,7 @@ def _drawn(xy: np.ndarray, z: np.ndarray, corners: np.ndarray, shape: tuple[int,
 
 
 def _confirmed(
-    own: DepthMap | None, at: np.ndarray, deep: np.ndarray, play: np.ndarray, size: tuple[int, int], tuning: ViewTuning
+    own: DepthMap | None, at: np.ndarray, deep: np.ndarray, play: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
     """(N,) 1 where the image's own depth is that of the places, 0 where it has none, -1 where it lies before them."""
     if own is None:
@@ -126,7 +99,7 @@ def _confirmed(
     ratio = np.array([wide, high]) / np.array(size)
     column, row = (np.clip((at * ratio).astype(int)[:, a], 0, (wide, high)[a] - 1) for a in (0, 1))
     behind = deep - own.depth_m[row, column]
-    close = play * max(1.0, 1 / float(ratio.min())) + tuning.shade_sigmas * own.sigma_m[row, column]
+    close = play * max(1.0, 1 / float(ratio.min())) + APART_SIGMAS * own.sigma_m[row, column]
     with np.errstate(invalid="ignore"):
         return np.where(behind > close, -1.0, np.where(np.abs(behind) <= close, 1.0, 0.0))
 

@@ -4,7 +4,7 @@ The results are in a folder of their own; ``evaluate`` takes rig and map.laz fro
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,11 @@ from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, path_le
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.lidar.handeye import Given, HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
+from tiegraph.lidar.handeye import HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
 from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, odometry
 from tiegraph.lidar.pointtie import tie_by_points
 from tiegraph.lidar.scans import Recording, deskew, open_scans, velocities
 from tiegraph.lidar.settings import LidarSettings
-from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
 from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_cloud, load_json, load_model, load_scene, world_origin
 from tiegraph.project.folder import check_format, must_be_empty
@@ -130,7 +129,7 @@ def lidar(
     found = None
     if beside is not None:
         with reporter.stage("hand-eye"):
-            found = calibrated(beside, path, cloud, given)
+            found = calibrated(beside, path, cloud, *given)
         told = compared(beside, path, cloud, found, tunings)
         summary = {**summary, **told, "tables": {**summary["tables"], **told["tables"]}}
     out.mkdir(parents=True, exist_ok=True)
@@ -147,9 +146,10 @@ def lidar(
     return summary
 
 
-def _given(settings: LidarSettings) -> Given:
+def _given(settings: LidarSettings) -> tuple[np.ndarray | None, float | None]:
+    """rig_from_lidar (4, 4) and clock_s as the user says; None = to be estimated."""
     if settings.place is None:
-        return Given(None, settings.clock_s)
+        return None, settings.clock_s
     try:
         told = load_json(settings.place)["hand_eye"]
         place, clock = np.array(told["rig_from_lidar"], float), float(told["clock_s"])
@@ -157,7 +157,7 @@ def _given(settings: LidarSettings) -> Given:
             raise ValueError("no matrix of 4 x 4 numbers")
     except (InputError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"--place {settings.place}: no lidar.json with hand_eye.rig_from_lidar ({error})") from None
-    return Given(place, clock if settings.clock_s is None else settings.clock_s)
+    return place, clock if settings.clock_s is None else settings.clock_s
 
 
 # --- the LiDAR alone -------------------------------------------------------------------------------------------------
@@ -232,10 +232,16 @@ def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning)
 # --- a run beside the LiDAR ----------------------------------------------------------------------------------------
 
 
-def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given) -> HandEye:
+def calibrated(
+    run: SurveyRun,
+    lidar: Poses,
+    reference: Cloud,
+    rig_from_lidar: np.ndarray | None = None,
+    clock_s: float | None = None,
+) -> HandEye:
     """The LiDAR on the rig: by the two trajectories, then by the points that both sides have of one surface."""
-    found = hand_eye(run.rig, lidar, given)
-    if given.rig_from_lidar is not None:
+    found = hand_eye(run.rig, lidar, rig_from_lidar, clock_s)
+    if rig_from_lidar is not None:
         return found
     by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
     inside = np.isfinite(by_lidar[:, 0, 0])
@@ -262,10 +268,14 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     )
     error = evaluate_trajectory(match, _RPE_M, tunings.evaluate.trajectory)
     judged = _Judged(run, world, reference, match, run.scene.section[frame], tunings.evaluate)
-    whole = replace(judged.column("all", None), seconds=run.seconds)
+    seconds = {f"{row} [s]": value for row, value in run.seconds.items()}
+    columns = {"all": {**seconds, **judged.column(None)}}
     sections = np.unique(run.scene.section[run.scene.section >= 0])
-    columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
-    tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
+    columns |= {f"section {s}": judged.column(int(s)) for s in sections if len(sections) > 1}
+    rows = [[row, *(column.get(row, np.nan) for column in columns.values())] for row in columns["all"]]
+    known = [row for row in rows if any(np.isfinite(v) for v in row[1:])]
+    survey = {"columns": ["", *columns], "rows": known}
+    tables = {"hand-eye": _hand_eye_table(found), "survey": survey, **error.tables(), **judged.tables}
     notes = [f"not determined by the motion, and not to be used: {what}" for what in found.left_open]
     if found.fit.turn_rms_deg > 1.0:
         off = f"the rotations of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
@@ -299,6 +309,16 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     }
 
 
+def _hand_eye_table(found: HandEye) -> dict[str, Any]:
+    """Value and sigma of each parameter."""
+    place = found.rig_from_lidar[:3, 3]
+    rows = [["clock offset [s]", found.clock_s, found.clock_sigma_s]]
+    rows += [[f"lever arm {a} [m]", v, s] for a, v, s in zip("xyz", place, found.place_sigma_m)]
+    rows += [[f"turn about {a} [deg]", np.nan, s] for a, s in zip("xyz", found.turn_sigma_deg)]
+    rows.append(["scale", found.scale, found.scale_sigma])
+    return {"columns": ["LiDAR on the rig", "value", "sigma"], "rows": rows}
+
+
 class _Judged:
     """The whole survey or a section of it beside the LiDAR."""
 
@@ -321,23 +341,35 @@ class _Judged:
         self.of_core = None if self.cloud is None else section[nearest.query(self.cloud.differences.xyz)[1]]
         self.tables: dict[str, Any] = {} if self.cloud is None else self.cloud.tables()
 
-    def column(self, name: str, section: int | None) -> Column:
+    def column(self, section: int | None) -> dict[str, float]:
+        """The rows of paper 001's tables 1 and 3 to 5 of the whole survey or a section of it. The cloud is compared
+        along the normals of the LiDAR's map, and by the distances to its nearest points, which grow with the gaps
+        between its rings."""
         scene = self.run.scene
         images = np.ones(len(scene), bool) if section is None else scene.section[scene.frame] == section
         rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)
-        out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
-        if len(rows) >= 3:
-            error = evaluate_trajectory(self.match.where(rows), _RPE_M, self.tuning.trajectory)
-            out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
+        enough = len(rows) >= 3
+        error = evaluate_trajectory(self.match.where(rows), _RPE_M, self.tuning.trajectory) if enough else None
+        out = {
+            "The number of input images": int(images.sum()),
+            "The number of used images": int(self.run.used[images].sum()),
+            "The number of points after MVS": 0,
+            "RMSE of positions against the LiDAR [m]": error.se3.rmse_m if error else np.nan,
+            "frames with a pose of the LiDAR": len(rows),
+            "scale against the LiDAR": error.sim3.alignment.scale * self.world.scale if error else np.nan,
+        }
         if self.cloud is not None:
             nearest, differences = self.cloud.nearest, self.cloud.differences
             judged = nearest.whole if section is None else nearest.sections.get(str(section))
-            points = len(self.of_point) if section is None else int(np.sum(self.of_point == section))
+            inside = np.ones(len(self.of_point), bool) if section is None else self.of_point == section
+            out["The number of points after MVS"] = int(inside.sum())
             cores = np.arange(len(differences)) if section is None else np.flatnonzero(self.of_core == section)
             along = differences.where(cores).summary()
-            out = replace(out, points=points, surface_m=(along.get("median m", np.nan), along.get("spread m", np.nan)))
+            for what in ("median", "spread"):
+                out[f"cloud along the LiDAR's surfaces (M3C2), {what} [m]"] = along.get(f"{what} m", np.nan)
             if judged is not None:
-                out = replace(out, cloud_m=(judged.median_m, judged.p90_m))
+                out["cloud to the LiDAR's nearest point, median [m]"] = judged.median_m
+                out["cloud to the LiDAR's nearest point, 90 % [m]"] = judged.p90_m
         return out
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import need_room
 from tiegraph.mesh.files import Textured, glb, mtl, obj
 from tiegraph.mesh.settings import MeshSettings
@@ -33,7 +34,7 @@ from tiegraph.mesh.texture import (
     vertex_mean,
 )
 from tiegraph.mesh.tuning import Tuning
-from tiegraph.mesh.views import UNSEEN, Seen, View, chosen, seen_by, without_bubbles
+from tiegraph.mesh.views import UNSEEN, Seen, chosen, seen_by, without_bubbles
 from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
 from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.project.run import Run
@@ -53,7 +54,7 @@ def mesh(run: Run) -> Outcome:
     interruption: the surface, what each image sees and gives, each texture."""
     plans = plans_of(run)
     pictures = Pictures.of(run, plans)
-    views = [View(p.name, camera) for p, camera in zip(plans, pictures.cameras())]
+    views = pictures.cameras()
     work = _Work(run.folder, pictures, views, settings=run.settings.mesh, tuning=run.settings.tuning.mesh)
     images = list(range(len(views)))
     run.reporter.total(2 * len(images) + 3)
@@ -101,7 +102,7 @@ class _Work:
 
     folder: Path
     pictures: Pictures
-    views: list[View]
+    views: list[Pinhole]
     settings: MeshSettings
     tuning: Tuning
 

@@ -6,6 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry.stereo import Pinhole
 from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
 from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.pipeline.terrain import OnSurface, Step, TerrainWork, wanted
@@ -23,7 +24,7 @@ from tiegraph.products.ortho import (
     windows_met,
 )
 from tiegraph.products.raster import PICTURE_PX, Place, hillshade, overview, relief
-from tiegraph.products.surface import Survey, View, Window, choose
+from tiegraph.products.surface import Survey, Window, choose
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.cloudfile import shift_of
@@ -44,7 +45,7 @@ def products(run: Run) -> Outcome:
     if len(plans) > _MOST_SOURCES:
         raise ReconstructionError(f"{len(plans)} images are more than source.tif can number: set products.make = none")
     pictures = Pictures.of(run, plans)
-    views = [View(p.name, camera) for p, camera in zip(plans, pictures.cameras())]
+    views = pictures.cameras()
     counted = run.receipts.read("cloud")["counts"]
     place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
     with reading(run.path(CLOUD)):
@@ -78,7 +79,7 @@ class _Work(OnSurface):
     """The common rasters of one surface, and the images that give it colour."""
 
     pictures: Pictures
-    views: list[View]
+    views: list[Pinhole]
 
     def steps(self) -> list[Step]:
         windows, images = self.windows, list(range(len(self.views)))
@@ -110,7 +111,7 @@ class _Work(OnSurface):
     def make_view(self, k: int) -> None:
         """The part of the surface that an image sees, and its colours there for the exposures; nothing if none."""
         view, tuning, kept = self.views[k], self.tuning.ortho, self.scratch("view", k)
-        if not windows_met(view.camera, self.surface):
+        if not windows_met(view, self.surface):
             return save_npz(kept)
         depth = depth_path(self.folder, view.name)
         rgb, mask = self.pictures.picture(k)

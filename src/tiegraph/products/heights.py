@@ -6,7 +6,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.products.surface import Surface, Window
 from tiegraph.products.tuning import HeightTuning
-from tiegraph.scene.results import Cloud
+from tiegraph.scene.results import APART_SIGMAS, Cloud
 from tiegraph.scene.sorting import run_starts
 
 _LEAST_SUPPORT = 1.0  # sum of the weights of the cells around a pixel of a hole, ...
@@ -55,11 +55,11 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
     of = np.repeat(np.arange(len(start)), np.diff(start, append=len(cell)))
     below = np.r_[1 : len(w), len(w) - 1]  # the next lower point, where it is of the same cell
     held = (cell[below] == cell) & (below > np.arange(len(w)))
-    held &= w - w[below] <= tuning.layer_sigmas * np.hypot(sigma, sigma[below]) + surface.pixel_m
+    held &= w - w[below] <= APART_SIGMAS * np.hypot(sigma, sigma[below]) + surface.pixel_m
     at = np.flatnonzero(held)
     top = np.r_[at, len(w)][np.searchsorted(at, start)]
     top = np.where(top < np.append(start[1:], len(w)), top, start)
-    near = tuning.layer_sigmas * np.hypot(sigma, sigma[top][of]) + surface.pixel_m
+    near = APART_SIGMAS * np.hypot(sigma, sigma[top][of]) + surface.pixel_m
     weight = np.where(np.abs(w - w[top][of]) <= near, sigma**-2.0, 0.0)
     count, total = np.add.reduceat((weight > 0).astype(float), start), np.add.reduceat(weight, start)
     mean = np.add.reduceat(weight * w, start) / total

@@ -12,9 +12,9 @@ from scipy.ndimage import distance_transform_edt
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.products.surface import Surface, View, Window, focal, project
+from tiegraph.products.surface import Surface, Window, project
 from tiegraph.products.tuning import OrthoTuning
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 
 _NOTHING = np.float32(1e30)  # a depth
 _STEEPEST = 5.0  # tangent of the incidence angle, for the tolerance of its depth
@@ -67,24 +67,24 @@ def windows_met(camera: Pinhole, surface: Surface) -> list[Window]:
 
 
 def draw(
-    view: View, surface: Surface, heights: Heights, mask: np.ndarray, own: DepthMap | None, tuning: OrthoTuning
+    view: Pinhole, surface: Surface, heights: Heights, mask: np.ndarray, own: DepthMap | None, tuning: OrthoTuning
 ) -> Buffer | None:
     """The buffer of an image whose pixels may be used by ``mask`` (H, W) bool; ``own``: its depth map, if it has one.
     None if it sees nothing of the surface."""
-    camera = view.camera
-    tiles = windows_met(camera, surface)
-    seen = [project(camera, _points(surface, t, heights(t, _LOOK), _LOOK))[2].ravel() for t in tiles]
+    tiles = windows_met(view, surface)
+    seen = [project(view, _points(surface, t, heights(t, _LOOK), _LOOK))[2].ravel() for t in tiles]
     depths = np.concatenate([s[np.isfinite(s)] for s in seen]) if seen else np.zeros(0)
     if not len(depths):
         return None
-    fine = max(1.0, surface.pixel_m * focal(camera) / float(np.percentile(depths, 1)))
-    size = tuple(int(np.ceil(s / (_COVER * fine))) for s in camera.size)
-    scale = np.array(camera.size) / size
+    fine = max(1.0, surface.pixel_m * view.focal / float(np.percentile(depths, 1)))
+    wide, high = (int(np.ceil(s / (_COVER * fine))) for s in view.size)
+    size = (wide, high)
+    scale = np.array(view.size) / size
     depth = np.full(size[::-1], _NOTHING)
     for tile in tiles:
         around = Window(tile.row, tile.column, rows=tile.rows + 1, columns=tile.columns + 1)
         for points in _drawn(surface, around, heights(around, 1)):
-            x, y, z = project(camera, points)
+            x, y, z = project(view, points)
             there = np.isfinite(z)
             column = np.minimum((x[there] / scale[0]).astype(int), size[0] - 1)
             row = np.minimum((y[there] / scale[1]).astype(int), size[1] - 1)
@@ -94,11 +94,8 @@ def draw(
     if own is not None:
         for k, values in enumerate((own.depth_m, own.sigma_m)):
             measured[k] = cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)
-    usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-    padded = np.pad(usable.astype(np.uint8), 1)
-    away = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     near = {"own": measured[0], "own_sigma": measured[1].astype(np.float16)}
-    border = (away / min(size)).astype(np.float16)
+    border = border_share(mask, size).astype(np.float16)
     return Buffer(depth=depth, **near, border=border, scale=scale, fine=fine)
 
 
@@ -150,24 +147,23 @@ class Ground:
         return Ground(surface.in_world(u, v, w), normal @ surface.surface_from_world[:3, :3], np.nan_to_num(sigma))
 
 
-def score(view: View, buffer: Buffer, ground: Ground, surface: Surface, tuning: OrthoTuning) -> np.ndarray:
+def score(view: Pinhole, buffer: Buffer, ground: Ground, surface: Surface, tuning: OrthoTuning) -> np.ndarray:
     """Score of an image for each pixel (rows, columns), 0 = not visible, 1 = from straight in front, no coarser than
     the raster and far from its border."""
-    camera = view.camera
-    x, y, z = project(camera, ground.xyz)
+    x, y, z = project(view, ground.xyz)
     there = np.isfinite(z)
     x, y, z = x[there], y[there], z[there]
     high, wide = buffer.depth.shape
     column = np.minimum(x / buffer.scale[0], wide - 1).astype(int)
     row = np.minimum(y / buffer.scale[1], high - 1).astype(int)
-    towards = transforms.centre(camera.cam_from_world) - ground.xyz[there]
+    towards = transforms.centre(view.cam_from_world) - ground.xyz[there]
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
     front = np.einsum("nk,nk->n", towards, ground.normal[there])
     steep = np.minimum(np.sqrt(np.maximum(1 - front**2, 0)) / np.maximum(front, 1e-9), _STEEPEST)
-    size = z / focal(camera)
-    play = size * buffer.scale.max() * (1 + 2 * steep) + tuning.shade_sigmas * ground.sigma[there]
+    size = z / view.focal
+    play = size * buffer.scale.max() * (1 + 2 * steep) + APART_SIGMAS * ground.sigma[there]
     behind = z - buffer.own[row, column]  # NaN where the image has no depth, which neither hides nor confirms
-    close = play + tuning.shade_sigmas * buffer.own_sigma[row, column]
+    close = play + APART_SIGMAS * buffer.own_sigma[row, column]
     free = (front > 0) & (z <= buffer.depth[row, column] + play) & ~(behind > close)
     free &= size < tuning.coarsest * surface.pixel_m
     away = np.maximum(towards @ surface.surface_from_world[2, :3], 0)
@@ -201,7 +197,7 @@ class Images:
     """The images of an orthophoto: views, a buffer (None = sees nothing) and a picture of each by its number, and gains
     (N, 3) of their channels."""
 
-    views: Sequence[View]
+    views: Sequence[Pinhole]
     buffer: Callable[[int], Buffer | None]
     picture: Pictures
     gains: np.ndarray
@@ -214,7 +210,7 @@ def block_px(images: int) -> int:
 
 
 def patch(
-    view: View,
+    view: Pinhole,
     buffer: Buffer,
     rgb: np.ndarray,
     surface: Surface,
@@ -223,7 +219,7 @@ def patch(
     tuning: OrthoTuning,
 ) -> Patch | None:
     """The view of an image on the blocks of a surface, of so many pixels; None if it sees none."""
-    tiles = windows_met(view.camera, surface)
+    tiles = windows_met(view, surface)
     row, column = min(t.row for t in tiles), min(t.column for t in tiles)
     bottom, right = max(t.row + t.rows for t in tiles), max(t.column + t.columns for t in tiles)
     around = Window(row, column, rows=bottom - row, columns=right - column)
@@ -255,10 +251,10 @@ def gains(patches: Sequence[Patch | None]) -> np.ndarray:
     return out
 
 
-def warp(view: View, rgb: np.ndarray, xyz: np.ndarray, fine: float) -> np.ndarray:
+def warp(view: Pinhole, rgb: np.ndarray, xyz: np.ndarray, fine: float) -> np.ndarray:
     """Colours (rows, columns, 3) u1 of world points (rows, columns, 3) in an image; ``fine``: of how many of its pixels
     a pixel of the result is the mean."""
-    x, y, _ = project(view.camera, xyz)
+    x, y, _ = project(view, xyz)
     step = max(1, round(fine))
     small = rgb if step == 1 else cv2.resize(rgb, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
     scale = np.array(small.shape[1::-1]) / rgb.shape[1::-1]
@@ -276,7 +272,7 @@ def ortho_tile(
     best, source = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.uint16)
     seen: dict[int, tuple[np.ndarray, float]] = {}
     for k, view in enumerate(images.views):
-        buffer = images.buffer(k) if meets(view.camera, surface, window.grown(wide)) else None
+        buffer = images.buffer(k) if meets(view, surface, window.grown(wide)) else None
         if buffer is None:
             continue
         found = score(view, buffer, ground, surface, tuning)

@@ -41,14 +41,6 @@ class Window:
         )
 
 
-@dataclass(frozen=True)
-class View:
-    """An image that may give colour: its name and undistorted camera in the world."""
-
-    name: str
-    camera: Pinhole
-
-
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A frame (4, 4) surface_from_world, the corners (3,) of its box in (u, v, w), the edge of a pixel in world units
@@ -100,18 +92,9 @@ class Surface:
 
 def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixel coordinates x, y (...) of world points (..., 3), and their depths (...); NaN where not in the image."""
-    seen = xyz @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
-    z = seen[..., 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = camera.K[0, 0] * seen[..., 0] / z + camera.K[0, 2]
-        y = camera.K[1, 1] * seen[..., 1] / z + camera.K[1, 2]
-        inside = (z > 0) & (x >= 0) & (y >= 0) & (x <= camera.size[0]) & (y <= camera.size[1])
-    return np.where(inside, x, np.nan), np.where(inside, y, np.nan), np.where(inside, z, np.nan)
-
-
-def focal(camera: Pinhole) -> float:
-    """Pixels per unit of tangent."""
-    return float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    xy, z = camera.project(xyz)
+    inside = camera.inside(xy)
+    return np.where(inside, xy[..., 0], np.nan), np.where(inside, xy[..., 1], np.nan), np.where(inside, z, np.nan)
 
 
 def rounded_up(size: float, series: Sequence[float]) -> float:
@@ -129,7 +112,7 @@ class Survey:
     the CRS; lengths in ``unit`` (m, or units of a model without scale)."""
 
     sample: Cloud
-    views: Sequence[View]
+    views: Sequence[Pinhole]
     spacing: float
     shift: np.ndarray
     unit: str = "m"
@@ -137,12 +120,12 @@ class Survey:
     @property
     def centres(self) -> np.ndarray:
         """(N, 3) projection centres."""
-        return transforms.centre(np.array([v.camera.cam_from_world for v in self.views]))
+        return transforms.centre(np.array([v.cam_from_world for v in self.views]))
 
     @property
     def looking(self) -> np.ndarray:
         """(N, 3) directions of the optical axes."""
-        return np.array([v.camera.cam_from_world[2, :3] for v in self.views])
+        return np.array([v.cam_from_world[2, :3] for v in self.views])
 
 
 def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> tuple[list[Surface], list[str]]:
@@ -266,7 +249,7 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     own = own[evenly(len(own), _ASKED)]
     sizes = np.full(len(own), np.nan)  # of a pixel of the nearest image that sees a point
     for view in survey.views:
-        sizes = np.fmin(sizes, project(view.camera, own)[2] / focal(view.camera))
+        sizes = np.fmin(sizes, project(view, own)[2] / view.focal)
     gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
     pixel = settings.pixel_m or rounded_up(max(gsd, survey.spacing / 2), _SERIES)
     near = sizes <= tuning.coarsest * pixel

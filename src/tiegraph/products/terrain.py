@@ -23,6 +23,7 @@ from scipy import ndimage
 from tiegraph.products.heights import filled, planes
 from tiegraph.products.surface import Window, rounded_up
 from tiegraph.products.tuning import ContourTuning, TerrainTuning
+from tiegraph.scene.results import APART_SIGMAS
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
@@ -96,7 +97,7 @@ def bare(low: np.ndarray, noise: float, cell_m: float, objects_m: float, tuning:
         highest = cv2.dilate(np.where(lowest < far / 2, lowest, -far), disc, borderValue=-float(far))
         opened = np.where(known, highest, np.nan)
         with np.errstate(invalid="ignore"):
-            stands |= last - opened > tuning.slope * radius * cell_m + tuning.noise_sigmas * noise
+            stands |= last - opened > tuning.slope * radius * cell_m + APART_SIGMAS * noise
         last = opened
     beside = cv2.dilate(stands.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # its other half, or adjoining objects
     return np.where(beside, np.nan, low)
@@ -135,7 +136,7 @@ def ground(w: np.ndarray, sigma: np.ndarray, low: Terrain, window: Window, tunin
     level, _, known = low.at(window)
     slope = np.hypot(*np.gradient(level)) if min(level.shape) > 1 else np.zeros_like(level)
     with np.errstate(invalid="ignore"):
-        above = np.maximum(tuning.above_m, tuning.noise_sigmas * sigma) + slope * low.step
+        above = np.maximum(tuning.above_m, APART_SIGMAS * sigma) + slope * low.step
         stands = w - level > above
     size = 2 * tuning.rim_px + 1
     rim = cv2.dilate(stands.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))) > 0

@@ -35,9 +35,6 @@ class ChooseTuning(Section):
 class HeightTuning(Section):
     """From points to a surface (`heights.py`)."""
 
-    layer_sigmas: float = Field(3.0, gt=0)
-    """Points of a cell this many standard deviations (and a pixel, for slopes) apart may be of one surface: a top
-    without support by another is a stray, and points farther below it are not seen from outside."""
     shared: float = Field(10.0, ge=1)
     """Points of a cell with a common error, by the matcher's windows: on the walls of
     `canal_demo` points up to 5 spacings apart differ by 0.5 to 0.7 of their sigmas."""
@@ -62,8 +59,6 @@ class TerrainTuning(Section):
     """What an opening by a disc takes off in one step is an object if it is higher than this share of its radius."""
     above_m: float = Field(0.5, gt=0)
     """A pixel this high above the cells of the ground, and more on slopes, is not ground."""
-    noise_sigmas: float = Field(3.0, gt=0)
-    """Both are widened to so many standard deviations of the heights."""
     rim_px: int = Field(5, ge=0)
     """Pixels around an object that its edge may raise: the matcher's windows blur edges over a few."""
 
@@ -111,8 +106,6 @@ class OrthoTuning(Section):
     unconfirmed: float = Field(0.01, ge=0, le=1)
     """Score of an image whose own depth map has no depth there, beside one that has the surface's: it may see something
     else, such as a bridge in front of a wall."""
-    shade_sigmas: float = Field(3.0, gt=0)
-    """Points this many standard deviations behind the surface seen by the image are hidden."""
     bands: int = Field(4, ge=0, le=8)
     """Bands of the blending of seams: colours are blended over 2^bands pixels, edges over few."""
 

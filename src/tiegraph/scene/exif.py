@@ -9,11 +9,11 @@ programs omit EXIF in some formats and write its tags as exif:GPSLatitude="35,41
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -50,29 +50,25 @@ class RigTags:
     reference: int = -1  # index of the reference camera
 
 
-class Place(NamedTuple):
-    """Position of an image, and its sigmas (horizontal, up); NaN = not written."""
+@dataclass(frozen=True)
+class Taken:
+    """Where and when a picture was taken; NaN = not known."""
 
     lat_deg: float = NAN
     lon_deg: float = NAN
     height_m: float = NAN
-    sigma_m: float = NAN
+    sigma_m: float = NAN  # horizontal
     sigma_up_m: float = NAN
+    time_s: float = NAN  # seconds since 1970; in the camera's own clock and zone unless utc
+    utc: bool = False
 
 
 @dataclass(frozen=True)
-class Exif:
+class Exif(Taken):
     """EXIF facts in SI units; NaN or "" = not written or not plausible."""
 
     orientation: int = 1  # 1..8
     focal_px: float = NAN  # pixels of the image as stored
-    lat_deg: float = NAN
-    lon_deg: float = NAN
-    height_m: float = NAN
-    position_sigma_m: float = NAN
-    height_sigma_m: float = NAN
-    time_s: float = NAN  # seconds since 1970; in the camera's own clock and zone unless time_utc
-    time_utc: bool = False
     zone_s: float = NAN  # offset of that clock from UTC by the receiver's time, in whole quarters of an hour
     make: str = ""
     model: str = ""
@@ -117,15 +113,9 @@ def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float
     iso = detail.get(Base.ISOSpeedRatings, 1)
     sensitivity = _positive(iso[0] if isinstance(iso, tuple) and iso else iso)
     return Exif(
+        **vars(replace(place, time_s=time_s, utc=utc)),
         orientation=orientation_in(image),
         focal_px=_focal(detail, size, focal_range),
-        lat_deg=place.lat_deg,
-        lon_deg=place.lon_deg,
-        height_m=place.height_m,
-        position_sigma_m=place.sigma_m,
-        height_sigma_m=place.sigma_up_m,
-        time_s=time_s,
-        time_utc=utc,
         zone_s=NAN if utc else _zone(gps, time_s),
         make=_text(base.get(Base.Make)),
         model=_text(base.get(Base.Model)),
@@ -144,7 +134,7 @@ def _with_xmp(table: dict, xmp: str, names: tuple[tuple[int, str, str], ...]) ->
     return {**{tag: value for tag, value in found.items() if value}, **table}
 
 
-def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
+def _place(gps: dict, xmp: Taken, rtk: bool) -> tuple[Taken, str]:
     """Position of an image by EXIF and XMP, NaN if not written or not plausible, and doubts about it."""
     if rtk and np.isfinite(xmp.height_m) and SIGMA_RANGE_M[0] <= xmp.sigma_m <= SIGMA_RANGE_M[1]:
         if abs(xmp.lat_deg) <= 90 and abs(xmp.lon_deg) <= 180 and (xmp.lat_deg, xmp.lon_deg) != (0, 0):
@@ -169,17 +159,17 @@ def _place(gps: dict, xmp: Place, rtk: bool) -> tuple[Place, str]:
         else (xmp.sigma_m, xmp.sigma_up_m)
     )
     if not given:
-        return Place(), ""
+        return Taken(), ""
     if np.isnan([lat, lon]).all():
-        return Place(), "its fields for latitude and longitude are empty"
+        return Taken(), "its fields for latitude and longitude are empty"
     if not (abs(lat) <= 90 and abs(lon) <= 180):
-        return Place(), f"latitude {lat:g}, longitude {lon:g} is no place on the Earth"
+        return Taken(), f"latitude {lat:g}, longitude {lon:g} is no place on the Earth"
     if lat == 0 and lon == 0:
-        return Place(), "latitude 0, longitude 0 is what a receiver without a fix writes"
+        return Taken(), "latitude 0, longitude 0 is what a receiver without a fix writes"
     if sigmas[0] > SIGMA_RANGE_M[1]:
-        return Place(), f"an accuracy of {sigmas[0]:g} m is none"
+        return Taken(), f"an accuracy of {sigmas[0]:g} m is none"
     flat, up = (s if s >= SIGMA_RANGE_M[0] else NAN for s in sigmas)
-    place = Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
+    place = Taken(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up)
     place, doubt = _in_wgs84(place, _text(gps.get(GPS.GPSMapDatum)))
     if _text(gps.get(GPS.GPSStatus)).upper() == "V":
         return place, "the receiver had no fix when it was taken (GPSStatus V), so the position may be an old one"
@@ -195,12 +185,12 @@ def _rounds(coarse_deg: float, fine_deg: float) -> bool:
     return abs(coarse - fine) <= 10.0**-digits
 
 
-def _in_wgs84(place: Place, datum: str) -> tuple[Place, str]:
+def _in_wgs84(place: Taken, datum: str) -> tuple[Taken, str]:
     """A position in the datum of EXIF, converted to WGS 84, and doubts about it."""
     plain = re.sub(r"[^A-Z0-9]", "", datum.upper())
     if plain == "TOKYO":
         lon, lat, _ = crs_transformer(_TOKYO).transform(place.lon_deg, place.lat_deg, 0.0, "INVERSE")
-        return place._replace(lat_deg=lat, lon_deg=lon, sigma_m=max(_TOKYO_SIGMA_M, np.nan_to_num(place.sigma_m))), ""
+        return replace(place, lat_deg=lat, lon_deg=lon, sigma_m=max(_TOKYO_SIGMA_M, np.nan_to_num(place.sigma_m))), ""
     doubt = f"its datum is {datum}, which may lie hundreds of metres from WGS 84"
     return place, "" if _LIKE_WGS84.fullmatch(plain) else doubt
 
@@ -296,18 +286,6 @@ def _positive(value: Any) -> float:
     return number if 0 < number < float("inf") else NAN
 
 
-@dataclass(frozen=True)
-class Taken:
-    """When (seconds since 1970) and where a picture was taken; NaN = unknown."""
-
-    time_s: float = NAN
-    utc: bool = False  # else in the camera's own clock
-    lat_deg: float = NAN
-    lon_deg: float = NAN
-    height_m: float = NAN
-    sigma_m: float = NAN
-
-
 def exif_of(taken: Taken) -> Image.Exif:
     """EXIF 2.32 block: time to the microsecond, position to 0.1 mm."""
     block = Image.Exif()
@@ -347,7 +325,7 @@ def read_rig_tags(text: str) -> RigTags:
     return RigTags(index=index, band=band, relatives_deg=relatives, reference=reference)
 
 
-def read_place(text: str) -> tuple[Place, bool]:
+def read_place(text: str) -> tuple[Taken, bool]:
     """The position in the XMP of an image, and whether a receiver with an RTK fix wrote it."""
     rtk = number(xmp_value(text, "RtkFlag", _DJI)) > 0
     lat, *lons = (number(xmp_value(text, f"Gps{t}", _DJI)) for t in ("Latitude", "Longitude", "Longtitude"))
@@ -362,7 +340,7 @@ def read_place(text: str) -> tuple[Place, bool]:
     if rtk:
         flat = max(number(xmp_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
         up = number(xmp_value(text, "RtkStdHgt", _DJI))
-    return Place(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up), rtk
+    return Taken(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=flat, sigma_up_m=up), rtk
 
 
 def _degrees(text: str) -> float:

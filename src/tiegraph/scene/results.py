@@ -32,6 +32,8 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.sorting import Columns
 from tiegraph.text import finite
 
+APART_SIGMAS = 3.0  # depths and heights that differ by more of their standard deviations are of two surfaces
+
 
 @dataclass(frozen=True, repr=False)
 class DepthMap:
@@ -121,6 +123,14 @@ def row_strips(shape: tuple[int, ...], pixels: int = 1 << 18) -> list[slice]:
     height, width = shape
     rows = max(1, pixels // width)
     return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+
+
+def border_share(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """How far the pixels of an image are from its border and its mask (H, W) bool, True = use, as a share of its
+    shorter side: (height, width) f4 of the image at ``size`` (width, height), 0 = masked."""
+    usable = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+    away = cv2.distanceTransform(np.pad(usable.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return away[1:-1, 1:-1] / min(size)
 
 
 def metrics_to_dict(

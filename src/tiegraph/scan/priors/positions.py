@@ -359,4 +359,4 @@ def _exif_positions(
     if note:
         notes.append(note)
     llh[known[far]] = np.nan
-    return llh, np.array([[e.position_sigma_m, e.height_sigma_m] for e in frames.exif], float)
+    return llh, np.array([[e.sigma_m, e.sigma_up_m] for e in frames.exif], float)

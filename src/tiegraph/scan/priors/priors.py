@@ -110,7 +110,7 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
     exif = _in_utc(frames.exif, notes)
     out = _unless_one(exif_times(frames.rows, exif), "EXIF", notes)
     if np.isfinite(out).all():
-        if not all(e.time_utc for e in exif):
+        if not all(e.utc for e in exif):
             notes.append("times of the frames from EXIF, in the camera's own clock (without a time zone)")
         return out
     if np.isfinite(out).any():
@@ -137,7 +137,7 @@ def _in_utc(exif: Sequence[Exif], notes: list[str]) -> Sequence[Exif]:
         return exif
     (ahead,) = zones
     notes.append(f"the cameras' clock is UTC{ahead / 3600:+g} h by the receiver's time in EXIF: subtracted")
-    return [e if e.time_utc else replace(e, time_s=e.time_s - ahead, time_utc=True) for e in exif]
+    return [e if e.utc else replace(e, time_s=e.time_s - ahead, utc=True) for e in exif]
 
 
 def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
