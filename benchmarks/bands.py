@@ -8,11 +8,9 @@ and keeps a row a set in FILE; ``--run SET=FOLDER`` makes the run first. ``--wri
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import datasets
-from benchmarks.datasets import Dataset
+from benchmarks.sfm.finished import arguments, each_run
 from benchmarks.table import line, put
 from tiegraph.api import open_project
 from tiegraph.evaluate import reference
@@ -42,9 +40,10 @@ _BANDS = {
 }
 
 
-def measure(name: str, dataset: Dataset, folder: Path) -> dict[str, Any]:
+def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     """The row of a run: what it predicted of its cameras beside what the truth says; lengths in metres, or in units of
     the model where nothing told its scale."""
+    dataset = datasets.load(name, scratch)
     project = open_project(None, folder)
     run = Run(project.folder, project.inputs, project.settings)
     scene, tuning, own = checked(run), run.settings.tuning.evaluate, stated(run, {})
@@ -113,24 +112,12 @@ def write(file: Path) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="*", help="SET=FOLDER: data set and its run folder")
-    parser.add_argument("--run", nargs="+", default=[], metavar="SET=FOLDER", help="make the run first")
-    parser.add_argument("-o", "--out", type=Path, default=_RESULTS / "bands.json")
+    parser = arguments(__doc__, _RESULTS / "bands.json")
     parser.add_argument("--write", action="store_true", help="the table into docs/benchmarks.md")
     args = parser.parse_args(argv)
-    rows = json.loads(args.out.read_text())["rows"] if args.out.exists() else []
-    with tempfile.TemporaryDirectory() as scratch:
-        for item in [*args.run, *args.runs]:
-            name, folder = item.split("=", 1)
-            dataset = datasets.load(name, Path(scratch))
-            if item in args.run:
-                dataset.run(Path(folder), "georef")
-            rows = [*(r for r in rows if r["set"] != name), measure(name, dataset, Path(folder))]
-            args.out.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
-            sys.stdout.write(json.dumps(rows[-1]) + "\n")
+    each_run(args, measure, "georef")
     if args.write:
-        write(args.out)
+        write(args.output)
     return 0
 
 

@@ -8,11 +8,8 @@ cameras, how the rig is made, the way, how far walls are, the class of the recei
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
-import sys
-import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +23,7 @@ import pycolmap  # isort: skip
 
 from benchmarks import datasets
 from benchmarks.closerange import world
+from benchmarks.sfm.finished import arguments, each_run
 from benchmarks.sigma import reference_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
@@ -64,27 +62,10 @@ _BLUNDER_M = 0.005  # as benchmarks.closerange has it
 _SIGMAS = ("position_shape", "place_world", "height_world")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line; 0 when all is compared."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="+", help="SET=FOLDER: data set and its run folder")
-    parser.add_argument("-o", "--output", type=Path)
-    args = parser.parse_args(argv)
-    rows = []
-    for item in args.runs:
-        name, folder = item.split("=", 1)
-        with tempfile.TemporaryDirectory() as scratch:
-            of = station if name == "station" else measure
-            rows.append(of(name, Path(folder), Path(scratch)))
-        sys.stdout.write(json.dumps(rows[-1], indent=1) + "\n")
-        sys.stdout.flush()
-    if args.output:
-        args.output.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
-    return 0
-
-
 def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     """Planned, reported and actual figures of a set, metres, and their ratios."""
+    if name == "station":
+        return station(name, folder, scratch)
     dataset = datasets.load(name, scratch)
     made = plan(_with_files(REQUESTS[name], dataset, scratch)).to_dict()
     run = reached(folder)
@@ -94,12 +75,9 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     for key in (f"{s}_sigma_median_m" for s in _SIGMAS):
         planned, reported = path.get(key), run.get(key)
         out[key] = _beside(planned, reported)
-    errors = {"error": float(np.median(np.linalg.norm(errors_m(dataset, folder), axis=1)))}
+    error = float(np.median(np.linalg.norm(errors_m(dataset, folder), axis=1)))
     sigma = run.get("position_shape_sigma_median_m")
-    for key, error in errors.items():
-        out[f"{key.replace(' ', '_')}_in_shape_m"] = _rounded(error)
-        out[f"{key} / reported"] = round(error / sigma, 2) if sigma else None
-    return out
+    return {**out, "error_in_shape_m": _rounded(error), "error / reported": round(error / sigma, 2) if sigma else None}
 
 
 def station(name: str, store: Path, scratch: Path) -> dict[str, Any]:
@@ -193,4 +171,4 @@ def _rounded(value: float | None) -> float | None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    each_run(arguments(__doc__).parse_args(), measure)

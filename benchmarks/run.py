@@ -11,13 +11,9 @@ import argparse
 import json
 import os
 import platform
-import resource
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from importlib import metadata
@@ -30,6 +26,7 @@ import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import accuracy, datasets, table
+from benchmarks.measure import measured
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
@@ -130,7 +127,7 @@ def run_one(
         "load_at_start": round(os.getloadavg()[0], 2),
         "software": _software(),
     }
-    row |= _run_process(command, work / "log.txt", args.timeout)
+    row |= measured(command, work / "log.txt", args.timeout)
     said = json.loads((work / "figures.json").read_text()) if (work / "figures.json").exists() else {}
     row |= _outcome(row.pop("returncode"), said)
     row |= {key: _without_paths(said[key], folder, work, dataset.images) for key in ("stages", "pairs") if key in said}
@@ -198,27 +195,6 @@ def _colmap_camera(camera: Any) -> dict[str, Any]:
     data = camera_to_dict(camera)
     assert data is not None
     return {key: data[key] for key in ("model", "width", "height", "params")}
-
-
-def _run_process(command: list[str], log: Path, timeout_s: float) -> dict[str, Any]:
-    """Wall, CPU and peak memory of a process and its children; past the time limit its whole group is killed."""
-    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    with log.open("wb") as stream:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True
-        )
-        returncode: int | None
-        try:
-            returncode = process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            returncode = None
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"returncode": returncode, "wall_s": time.monotonic() - start, "cpu_s": cpu_s}
 
 
 def _outcome(returncode: int | None, said: dict[str, Any]) -> dict[str, Any]:

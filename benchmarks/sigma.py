@@ -10,12 +10,8 @@ solvers see the same images, so it is what they do not share).
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import platform
 import sys
-import tempfile
 import time
 from collections.abc import Mapping
 from functools import cache
@@ -31,6 +27,7 @@ import pycolmap  # isort: skip
 
 from benchmarks import datasets
 from benchmarks.sfm.agree import centres, compare
+from benchmarks.sfm.finished import arguments, each_run
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
@@ -63,27 +60,12 @@ TRUTH_M: Mapping[str, tuple[float | None, str]] = {
 
 def main(argv: list[str] | None = None) -> int:
     """Command line; 0 if every run could be judged."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="*", help="SET=FOLDER: data set and its run folder")
-    parser.add_argument("--run", nargs="+", default=[], metavar="SET=FOLDER", help="make the run first")
+    parser = arguments(__doc__)
     parser.add_argument("--second", nargs="+", default=[], metavar="SET=MODEL", help="another solver's COLMAP model")
-    parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args(argv)
     second = {name: Path(folder) for name, folder in (item.split("=", 1) for item in args.second)}
-    rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as scratch:
-        for item in [*args.run, *args.runs]:
-            name, folder = item.split("=", 1)
-            dataset = datasets.load(name, Path(scratch))
-            if item in args.run:
-                dataset.run(Path(folder), "sparse")
-            rows.append(measure(name, dataset, Path(folder), second.get(name)))
-            sys.stdout.write(json.dumps(rows[-1]) + "\n")
-            sys.stdout.flush()
+    rows = each_run(args, lambda name, folder, work: measure(name, datasets.load(name, work), folder, second.get(name)))
     sys.stdout.write(table(rows) + "\n")
-    if args.output:
-        machine = {"machine": platform.machine(), "cpus": os.cpu_count(), "load": os.getloadavg()[0]}
-        args.output.write_text(json.dumps({**machine, "rows": rows}, indent=1) + "\n")
     return 0
 
 

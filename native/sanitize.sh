@@ -23,6 +23,6 @@ for package, name in (("dense", "_sgm"), ("features", "_nearest")):
     sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     setattr(importlib.import_module(f"tiegraph.{package}"), name, module)
-tests = ["dense/test_dense_sgm.py", "dense/test_dense_tsgm.py", "features/test_features_nearest.py"]
+tests = ["dense/test_dense_sgm.py", "dense/test_dense_matchers.py", "features/test_features_match.py"]
 sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in tests)]))
 END

@@ -152,7 +152,8 @@ def _run(bench: Bench, files: dict[str, Path], out: Path, base: tuple[Path | Non
     own = bench.src.parent / ".venv" / "bin" / "python"
     python = str(own) if own.exists() else sys.executable
     words = ["env", f"PYTHONPATH={bench.src}", python, str(_DRIVE), str(path)]
-    done = runner._run_process(words, log, bench.timeout_s)
+    log.unlink(missing_ok=True)
+    done = runner.measured(words, log, bench.timeout_s)
     done["error"] = _ended(done["returncode"], log)
     path.unlink()
     return done

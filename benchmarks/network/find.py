@@ -23,10 +23,10 @@ import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import datasets, run
+from benchmarks.measure import finished_tiegraph, measured, run_tiegraph
 from benchmarks.network import overlap as truths
 from benchmarks.network.lists import METHODS as LISTS
 from benchmarks.network.lists import NEED_PREVIEWS
-from benchmarks.network.measure import finished_tiegraph, measured, run_tiegraph
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
 from tiegraph.scene.pairs import Pairs

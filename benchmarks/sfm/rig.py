@@ -19,7 +19,7 @@ import pycolmap  # isort: skip
 
 from benchmarks import datasets
 from benchmarks.accuracy import evaluate
-from benchmarks.sfm.finished import each_run
+from benchmarks.sfm.finished import arguments, each_run
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -31,11 +31,6 @@ from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import MatchSource, ViewGraph
-
-
-def main() -> None:
-    """Command line."""
-    each_run(__doc__, measure)
 
 
 def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
@@ -107,4 +102,4 @@ def true_offsets_ms(scene: Scene) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    main()
+    each_run(arguments(__doc__).parse_args(), measure)

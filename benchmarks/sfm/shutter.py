@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import tiegraph  # noqa: F401  before pycolmap
-from benchmarks.sfm.finished import each_run
+from benchmarks.sfm.finished import arguments, each_run
 from tiegraph.pipeline.files import load_model, load_scene
 from tiegraph.sfm.finish import find_readout
 from tiegraph.sfm.tuning import Tuning
@@ -33,4 +33,4 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    each_run(__doc__, measure)
+    each_run(arguments(__doc__).parse_args(), measure)

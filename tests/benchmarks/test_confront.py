@@ -394,7 +394,7 @@ def test_the_bench_writes_a_row_a_case_and_goes_on_where_it_was(
             (out / "world.json").write_text(json.dumps({**world, "sigma": sigma, "model_sigma": {"median": 0.01}}))
         return {"returncode": 0 if longer < 1.05 else 2, "cpu_s": 1.0, "wall_s": 1.0}
 
-    monkeypatch.setattr(bench.runner, "_run_process", run)
+    monkeypatch.setattr(bench.runner, "measured", run)
     words = [
         "--sets",
         "tiny",

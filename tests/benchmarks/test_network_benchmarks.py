@@ -10,9 +10,9 @@ import numpy as np
 import pycolmap
 import pytest
 from benchmarks.datasets import Dataset
+from benchmarks.measure import measured
 from benchmarks.network import find, lists, overlap
 from benchmarks.network.canalworld import canal_world
-from benchmarks.network.measure import measured
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -154,8 +154,6 @@ def test_cost_counts_children(tmp_path: Path) -> None:
     code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {spin!r}])"
     found = measured([sys.executable, "-c", code], tmp_path / "log.txt")
     assert found["returncode"] == 0 and 1.0 <= found["cpu_s"] < 4 and found["peak_mib"] > 1
-    late = measured([sys.executable, "-c", "import time; time.sleep(60)"], tmp_path / "log.txt", timeout_s=0.2)
-    assert late["returncode"] is None and late["wall_s"] < 10
 
 
 @pytest.mark.slow

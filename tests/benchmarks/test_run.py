@@ -1,4 +1,4 @@
-"""The runner: time limits, what is said of a run that ended badly, and the results file."""
+"""The runner: time limits, bad ends, the results file; errors of the odometry over its sigmas."""
 
 import json
 import sys
@@ -18,6 +18,10 @@ from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.rig import Rig, Sensor
 
 import pycolmap  # isort: skip
+from benchmarks.odometrychecks import agreement, by_length, errors_over_sigmas
+
+from odometry.odometry_world import FRAMES, drive, single, stereo, true_path, truth
+from tiegraph.odometry.odometry import OdometryPath
 
 
 @pytest.mark.slow
@@ -26,18 +30,10 @@ def test_time_limit_ends_the_process_and_its_children(tmp_path: Path) -> None:
     child = f"import time, pathlib; time.sleep(2); pathlib.Path({str(marker)!r}).touch()"
     parent = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"
     start = time.monotonic()
-    row = run._run_process([sys.executable, "-c", parent], tmp_path / "log.txt", 0.7)
+    row = run.measured([sys.executable, "-c", parent], tmp_path / "log.txt", 0.7)
     assert row["returncode"] is None and 0.6 < time.monotonic() - start < 1.9
     time.sleep(2.2)
     assert not marker.exists()
-
-
-@pytest.mark.slow
-def test_cpu_time_counts_children(tmp_path: Path) -> None:
-    busy = "import time\nt = time.process_time()\nwhile time.process_time() - t < 0.4: pass"
-    parent = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {busy!r}], check=True)"
-    row = run._run_process([sys.executable, "-c", parent], tmp_path / "log.txt", 60)
-    assert row["returncode"] == 0 and 0.4 <= row["cpu_s"] < 5
 
 
 @pytest.mark.parametrize(
@@ -85,7 +81,7 @@ def test_another_seed_maps_the_matches_of_the_first_and_counts_their_time(tmp_pa
         place.write_text(json.dumps({"status": "done", "stages": stages, "models": []}))
         return {"returncode": 0, "wall_s": 32.0, "cpu_s": 51.0}
 
-    monkeypatch.setattr(run, "_run_process", process)
+    monkeypatch.setattr(run, "measured", process)
     asked = SimpleNamespace(seeds=(0, 3), keep=None, calibrated=False, until="georef", timeout=1.0)
     dataset = datasets.Dataset("tiny", tmp_path, {})
     row = run.run_one(dataset, "colmap_exhaustive", 0, tmp_path, asked)
@@ -136,3 +132,60 @@ def test_colmap_is_given_the_rig_of_the_set_as_one_rig_over_all_passes(tmp_path:
 def test_a_lone_camera_is_no_rig_for_colmap(tmp_path: Path) -> None:
     write_rig_toml(Rig("photographs", (Sensor("camera", None),)), tmp_path / "rig.toml")
     assert run._colmap_rig(tmp_path / "rig.toml", tmp_path / "rig_config.json") == []
+
+
+COUNT, PLACE_M, TURN = 400, 0.03, 0.002
+
+
+def noisy(metric, scale=1.0, seed=0):
+    """A path with errors of known sigmas about a line, and the line; ``scale``: of the path's unit."""
+    rng = np.random.default_rng(seed)
+    true = transforms.rigid(np.tile(np.eye(3), (COUNT, 1, 1)), np.outer(np.arange(COUNT), [0.0, 0, 0.5]))
+    poses = true.copy()
+    poses[1:, :3, 3] += rng.normal(0, PLACE_M, (COUNT - 1, 3))
+    poses[1:, :3, :3] = Rotation.from_rotvec(rng.normal(0, TURN, (COUNT - 1, 3))).as_matrix()
+    poses[:, :3, 3] *= scale
+    sigma = np.diag([(PLACE_M * scale) ** 2] * 3 + [TURN**2] * 3)
+    covariance = np.tile(sigma, (COUNT, 1, 1))
+    covariance[0] = 0
+    segment, key = np.zeros(COUNT, int), np.ones(COUNT, bool)
+    return OdometryPath(poses, segment, key, covariance, metric, 0), true
+
+
+@pytest.mark.parametrize(("metric", "scale"), [(True, 1.0), (False, 3.0)])
+def test_true_sigmas_give_one_and_sigmas_too_wide_by_three_a_third(metric, scale):
+    path, true = noisy(metric, scale)
+    for factor in (1.0, 3.0):
+        wide = OdometryPath(
+            path.world_from_rig, path.segment, path.keyframe, factor**2 * path.covariance, metric, loops=0
+        )
+        for part in by_length(np.array(errors_over_sigmas(wide, true))):
+            assert 0.88 < factor * part["position"] < 1.12 and 0.88 < factor * part["turn"] < 1.12
+            assert part["poses"] == pytest.approx((COUNT - 1) / 3, abs=1)
+
+
+def test_a_path_in_another_unit_and_world_agrees_and_one_that_bends_does_not():
+    path, true = noisy(metric=True)
+    moved = transforms.rigid(Rotation.from_euler("xyz", [0.3, 0.2, 1.0]).as_matrix(), [5.0, 0, 1]) @ path.world_from_rig
+    moved[:, :3, 3] *= 2.0
+    same = agreement(path, moved, np.arange(COUNT))
+    assert same["scale"] == 0.5 and same["rms_percent_of_way"] < 1e-3 and same["turn_median_deg"] < 1e-3
+    bent = path.world_from_rig.copy()
+    bent[:, 0, 3] += np.linspace(-1, 1, COUNT) ** 2 * 10  # metres, of 200
+    bent[: COUNT // 2] = np.nan
+    part = agreement(path, bent, np.arange(COUNT))
+    assert part["frames"] == COUNT // 2 and 0.2 < part["rms_percent_of_way"] < 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cameras", [stereo, single])
+def test_the_sigmas_of_a_drive_are_neither_too_small_nor_too_wide(cameras):
+    """Of drives begun at three places and backwards: medians of some sixty relative poses, few of them independent."""
+    rows = []
+    for frames in (list(range(FRAMES)), list(range(6, FRAMES)), list(range(FRAMES))[::-1]):
+        path = drive(cameras(), frames)
+        assert (path.segment == 0).all()
+        rows += errors_over_sigmas(path, true_path(frames) if frames[0] == 0 else np.stack([truth(f) for f in frames]))
+    assert len(rows) > 50
+    place, turn = np.median(np.array(rows)[:, 1:], axis=0)
+    assert 0.4 < place < 2.5 and 0.5 < turn < 2

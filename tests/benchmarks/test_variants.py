@@ -1,6 +1,14 @@
-"""Ablation and sweep: what is varied, which rows are kept, what the tables say."""
+"""The studies of many runs: what is varied, kept and printed, a found rig on the other half, surveys without pixels."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
 
 import pytest
+from benchmarks.scale import stages
 from benchmarks.variants import Book, Variant, median, spread
 
 from benchmarks import ablate, sweep
@@ -77,3 +85,25 @@ def test_rows_are_kept_and_the_tables_say_what_a_part_buys(tmp_path):
         kept.add("boat", Variant(name), 0, row(32, ate))
     lines = sweep.table(kept, ["boat"], most=1).splitlines()
     assert lines[2:] == ["| `filter.as_good 0.65 -> 0.87` | boat: 32 images, ATE +200 % |"]
+
+
+@pytest.mark.slow
+def test_every_stage_runs_without_pixels(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = subprocess.run
+
+    def run(command: list[str], **how: Any) -> subprocess.CompletedProcess:
+        """The last stage in a process of its own, as all are for their memory; the others here, where all is loaded."""
+        if stages.__name__ not in command or "plan" in command:
+            return start(command, **how)
+        return subprocess.CompletedProcess(command, stages.main(command[3:]))
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert stages.main(["--images", "48", "--folder", str(tmp_path), "-o", str(tmp_path / "found.json")]) == 0
+    rows = {row["stage"]: row for row in json.loads((tmp_path / "found.json").read_text())["runs"]}
+    assert list(rows) == list(stages.STAGES) and rows["scan"]["counts"]["images"] == 48
+    assert rows["coarse"]["counts"]["images"] == 48 and rows["candidates"]["apart"]["previews"]["calls"] > 500
+    assert 0 < rows["plan"]["counts"]["pairs"] == rows["design"]["counts"]["pairs"]
+    assert rows["plan"]["judged"]["precision"] > 0.5
+    assert "| coarse |" in capsys.readouterr().out

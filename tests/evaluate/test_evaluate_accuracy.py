@@ -1,18 +1,38 @@
-"""The layers of a run's accuracy: predicted and measured are of one thing, and a tolerance is answered by both."""
+"""The layers of a run's accuracy, references that contradict it, and two passes of one survey against each other."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from tiegraph.evaluate.accuracy import Hold, Predicted, Stated, accuracy_csv, answered, between, in_layers, pose_figures
+from clouds_world import ground, tiled
+from tiegraph.evaluate.accuracy import (
+    Hold,
+    Predicted,
+    Stated,
+    accuracy_csv,
+    answered,
+    between,
+    cloud_figure,
+    in_layers,
+    passes_figure,
+    pose_figures,
+)
+from tiegraph.evaluate.clouds.judge import TABLE, PassAgreement, by_section, near_places
+from tiegraph.evaluate.clouds.m3c2 import cylinders_of, m3c2_tiled
+from tiegraph.evaluate.clouds.nearest import Cameras, cloud_to_cloud, criteria_of
+from tiegraph.evaluate.clouds.tiles import tile_clouds
+from tiegraph.evaluate.survey import against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
-from tiegraph.evaluate.tuning import TrajectoryTuning
+from tiegraph.evaluate.tuning import PassesTuning, TrajectoryTuning, Tuning
 from tiegraph.geometry import transforms
+from tiegraph.scene.cloudchunks import Points, PointSource
 from tiegraph.scene.results import LAYERS, Accuracy, Figure
 
 TUNING = TrajectoryTuning()
@@ -147,3 +167,151 @@ def test_every_figure_has_its_row():
         "survey||ate_se3_rmse|0.00676|m",
         "survey||ghosts||%",
     ]
+
+
+STATED = Predicted(inside_m=0.002, scale=0.0005, spread_m=12.2, placed_m=0.05, point_m=0.01)
+BESIDE = Tuning()
+
+
+def way(seed: int = 0) -> np.ndarray:
+    """(60, 3) a bent way with hills."""
+    s = np.linspace(0, 40, 60)
+    return np.stack([s, 5 * np.sin(s / 6), 2 * np.cos(s / 4)], axis=1)
+
+
+def judged(
+    reference: np.ndarray,
+    estimate: np.ndarray | None = None,
+    predicted: Predicted = STATED,
+    same=False,
+    registered=1.0,
+) -> list:
+    """What is said of reference positions of the way; the model stands turned and moved elsewhere."""
+    est = way() if estimate is None else estimate
+    est = est + 0.002 / np.sqrt(3) * np.random.default_rng(1).standard_normal(est.shape)
+    if not same:
+        est = est @ Rotation.from_rotvec([0.3, 0.2, 1.0]).as_matrix().T + [5, -3, 2]
+    turn = np.tile(np.eye(3), (60, 1, 1))
+    match = PoseMatch(transforms.rigid(turn, est), transforms.rigid(turn, reference), np.zeros(60, int), np.arange(60))
+    found = evaluate_trajectory(match, (10.0,), BESIDE.trajectory, same_frame=same)
+    figures = pose_figures(match, found, predicted, BESIDE.trajectory)
+    return against_poses(match, figures, predicted.metric, BESIDE.judge, 0.5, registered)
+
+
+def test_a_reference_that_agrees_is_no_contradiction() -> None:
+    assert judged(way()) == []
+    assert judged(way() + 0.002 * np.random.default_rng(2).standard_normal((60, 3))) == []
+    assert judged(way() * [1, 0.001, 1], predicted=Predicted()) == []  # nothing predicted, nothing said
+
+
+@pytest.mark.parametrize(
+    ("reference", "why"),
+    [
+        (way() * [1, 0.001, 1], "y axis differs in scale, it is 0.001 times"),
+        (way() * [1, 1, 3.0], "z axis differs in scale, it is 3 times"),
+        (way()[:, [1, 0, 2]], "mirror image"),
+        (way() * [1, 1, -1], "mirror image"),
+        (way() * 1.2, "1.2 times as large"),
+    ],
+)
+def test_what_is_wrong_with_a_reference_is_named(reference: np.ndarray, why: str) -> None:
+    (text,) = judged(reference)
+    assert why in text
+    assert "predicted" in text and "mm" in text.split("predicted")[1] and "chance does once in 1000" in text
+
+
+def test_a_torn_model_makes_no_mirror_image_of_the_reference() -> None:
+    """Nor is anything named that hardly explains the error."""
+    (text,) = judged(way() * [1, 1, -1], registered=0.6)
+    assert "mirror" not in text and "one of the two is wrong" in text
+    (text,) = judged(way() * [1, 1, -1] + 0.6 * np.random.default_rng(4).standard_normal((60, 3)))
+    assert "mirror" not in text and "one of the two is wrong" in text
+
+
+def test_a_lag_is_named_with_its_time() -> None:
+    s = np.linspace(0, 60, 60) ** 1.0 * 2 / 3
+    speed = 1 + 0.6 * np.sin(np.arange(60) / 7)
+    s = np.cumsum(speed)
+    there = lambda v: np.stack([v, 5 * np.sin(v / 6), 2 * np.cos(v / 4)], axis=1)  # noqa: E731
+    (text,) = judged(there(np.interp(np.arange(60) - 0.4, np.arange(-1, 60), np.insert(s, 0, s[0] - 1))), there(s))
+    assert "times are off by" in text and "frames (" in text
+
+
+def test_a_shift_on_the_earth_is_said_apart() -> None:
+    assert judged(way() + [0.03, 0.0, 0.0], same=True) == []
+    (text,) = judged(way() + [0.0, 1.5, 0.0], same=True)
+    assert "on the Earth" in text and "-1.50 m north" in text
+
+
+def test_a_cloud_farther_than_predicted(tmp_path) -> None:
+    def said(cloud: np.ndarray) -> Figure:
+        clouds = tiled(cloud, wall, tmp_path)
+        found = cloud_to_cloud(clouds, criteria_of(clouds, BESIDE.cloud, (0.02, 0.2)), tmp_path)
+        return cloud_figure(found, 3.0, STATED, True)
+
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([rng.uniform(0, 10, 20000), np.zeros(20000), rng.uniform(0, 4, 20000)])
+    near = wall[:8000] + [0.0, 0.01, 0.0] * rng.standard_normal((8000, 1))
+    fits = said(near)
+    assert against_cloud(fits, BESIDE.judge) == [] and 0.3 < fits.ratio < 1.5
+    (text,) = against_cloud(said(near + [0, 0.18, 0]), BESIDE.judge)
+    assert "differ by 0.18" in text or "differ by 0.17" in text
+
+
+TUNING_PASSES = Tuning()
+
+
+def source(xyz: np.ndarray) -> PointSource:
+    return PointSource("pass", lambda: iter([Points(xyz, np.full(len(xyz), 0.003))]))
+
+
+@pytest.fixture(scope="module")
+def agreement(tmp_path_factory) -> PassAgreement:
+    """Flat ground of 3 mm noise; the second pass is 2 cm higher where x > 0, which is another section."""
+    first, second = ground(5_000, 0, 0.003), ground(5_000, 1, 0.003)
+    second[second[:, 0] > 0, 2] += 0.02
+    clouds = tile_clouds(source(first), source(second), tmp_path_factory.mktemp("tiles"), TUNING_PASSES.cloud)
+    cameras = Cameras(np.array([[-5.0, 0, 3], [5.0, 0, 3]]), ("0", "1"))
+    found = m3c2_tiled(clouds, cylinders_of(clouds, TUNING_PASSES.m3c2), TUNING_PASSES.m3c2, cameras, most=300)
+    assert 200 < len(found) < 700, "about as many core points as asked for"
+    return PassAgreement(("up", "down"), (5, 6), (5, 9), by_section(found, cameras))
+
+
+def test_a_step_in_one_section_is_found_there(agreement: PassAgreement) -> None:
+    table = agreement.tables()[TABLE]
+    rows = {row[0]: dict(zip(table["columns"], row)) for row in table["rows"]}
+    assert list(rows) == ["all", "0", "1"]
+    assert abs(rows["0"]["median m"]) < 0.003 and rows["1"]["median m"] == pytest.approx(0.02, abs=0.003)
+    assert rows["0"]["significant %"] < 10 and rows["1"]["significant %"] > 80
+    assert rows["all"]["core points"] == rows["0"]["core points"] + rows["1"]["core points"]
+    assert {m.name for m in agreement.metrics()} == {"passes_median", "passes_spread", "passes_significant"}
+    assert "5 of 5 and 6 of 9 depth maps" in agreement.note() and "does not tell what both share" in agreement.note()
+    assert PassAgreement.from_dict(json.loads(json.dumps(agreement.to_dict()))) == agreement
+
+
+def test_it_is_a_figure_of_the_shape_that_nothing_independent_measured(agreement: PassAgreement) -> None:
+    predicted = Predicted(inside_m=0.006, scale=0.001)
+    (figure,) = passes_figure(agreement, predicted)
+    assert figure.key == "shape.passes" and not figure.independent and "what both passes share" in figure.proves_not
+    assert 0.01 < figure.measured < 0.03
+    # of the points 3 mm each, of two cameras 6 mm in space
+    assert np.hypot(0.003 * 2**0.5, 0.006 * (2 / 3) ** 0.5) < figure.predicted < 0.008
+    layers = in_layers(Stated(predicted=predicted), [figure])
+    assert [f.key for f in layers.of("shape")] == ["shape.whole", "shape.passes"]
+
+
+def test_what_was_not_compared_says_why_and_states_nothing() -> None:
+    none = PassAgreement(("up", "down"), (5, 6), (5, 9), {}, "the clouds do not meet")
+    assert none.metrics() == [] and none.tables() == {} and passes_figure(none, Predicted()) == []
+    assert none.note() == "Passes up and down were not compared with each other: the clouds do not meet"
+
+
+def test_of_many_cameras_those_near_places_along_the_way_take_part() -> None:
+    along = np.column_stack([np.arange(300.0), np.zeros((300, 2))])
+    tuning = PassesTuning(maps=40, places=5)
+    first, second = near_places(along, along[::-1] + [0, 4.0, 0], tuning)
+    assert len(first) == len(second) == 40
+    assert np.abs(np.sort(299 - second) - first).max() <= 8, "of both passes the same places"
+    assert np.diff(first).max() > 30 and first.min() > 30 and first.max() < 269
+    few = near_places(along[:40], along[:7], tuning)
+    assert len(few[0]) == 40 and len(few[1]) == 7

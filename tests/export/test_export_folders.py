@@ -1,25 +1,36 @@
-"""Folders for other programs, opened by second readers: spots of the images lie where the exported cameras see them."""
+"""Exports, opened by second readers: folders of programs, E57 by pye57, maps by PROJ, GDAL and a JSON schema."""
 
 import errno
 import json
 import shutil
+import sqlite3
+import sys
+import xml.etree.ElementTree as xml
 
 import cv2
 import numpy as np
 import pycolmap
+import pye57
+import pyproj
 import pytest
 from PIL import Image
 
 import tiegraph
 from export_world import FRAMES, LENSES, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
-from tiegraph.errors import InputError, SettingsError
+from tiegraph.errors import EngineMissing, InputError, SettingsError
 from tiegraph.export import exporters as lens
+from tiegraph.export import maps
 from tiegraph.export.exporters import in_thousandths
 from tiegraph.export.survey import unique_names
+from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.transforms import apply, invert
+from tiegraph.pipeline import export as glue
 from tiegraph.scan.priors.startmodel import read_start
+from tiegraph.scene.cloudchunks import open_cloud
+from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.results import Cloud
 
 IMAGES = 4 * FRAMES
 
@@ -318,3 +329,168 @@ def test_a_full_disk_is_named_and_leaves_nothing(made, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="No space left on device.*choose another output folder"):
         made.project.export(tmp_path / "a", "tum")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def made_e57(tmp_path_factory):
+    """A survey with a cloud 400 m wide, and that cloud."""
+    found = finished(tmp_path_factory.mktemp("survey"))
+    rng = np.random.default_rng(0)
+    count = 5000
+    cloud = Cloud(
+        xyz_m=rng.uniform(-200, 200, (count, 3)),
+        rgb=rng.integers(0, 256, (count, 3)).astype(np.uint8),
+        normal=np.tile(np.array([0, 0, 1], np.float32), (count, 1)),
+        sigma_m=np.full(count, 0.01, np.float32),
+        views=np.full(count, 3, np.uint8),
+        origin=ORIGIN,
+    )
+    write_cloud(cloud, found.project.folder / "cloud.laz")
+    return found.project, cloud
+
+
+@pytest.mark.parametrize("scan", [10_000_000, 2000])
+def test_the_cloud_comes_back_to_the_millimetre(made_e57, tmp_path, monkeypatch, scan):
+    project, cloud = made_e57
+    monkeypatch.setattr(glue, "_SCAN", scan)
+    assert project.export(tmp_path / "e57", "e57") == len(cloud)
+    file = pye57.E57(str(tmp_path / "e57" / "cloud.e57"))
+    assert file.scan_count == -(-len(cloud) // scan) and "EPSG:32654" in file.get_header(0)["name"].value()
+    scans = [file.read_scan(k, colors=True, ignore_missing_fields=True) for k in range(file.scan_count)]
+    xyz, rgb = (
+        np.concatenate([np.stack([s[n + c] for c in axes], axis=1) for s in scans])
+        for n, axes in (("cartesian", "XYZ"), ("color", ("Red", "Green", "Blue")))
+    )
+    assert np.abs(xyz - (cloud.xyz_m + ORIGIN.shift_m)).max() < 0.001 and (rgb == cloud.rgb).all()
+    said = json.loads((tmp_path / "e57" / "offset.json").read_text())
+    assert said["crs"] == "EPSG:32654" and said["crs_from_local"] == np.eye(4).tolist()
+    again = np.concatenate([part.xyz for part in open_cloud(tmp_path / "e57" / "cloud.e57").parts()])
+    assert np.abs(again - xyz).max() < 1e-9
+
+
+def test_what_is_missing_is_named(made_e57, tmp_path, monkeypatch):
+    project, _ = made_e57
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").touch()
+    with pytest.raises(InputError, match="not empty"):
+        project.export(tmp_path / "full", "e57")
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    with pytest.raises(EngineMissing, match=r"pip install 'tiegraph\[e57\]'"):
+        project.export(tmp_path / "none", "e57")
+    assert not (tmp_path / "none").exists()
+    (project.folder / "cloud.laz").rename(project.folder / "away.laz")
+    with pytest.raises(InputError, match=r"cloud.laz is not there yet: run\(until='cloud'\) makes it"):
+        project.export(tmp_path / "none", "e57")
+    (project.folder / "away.laz").rename(project.folder / "cloud.laz")
+
+
+POSITION = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+SHAPES = [
+    {"properties": {"type": {"const": "Point"}, "coordinates": POSITION}},
+    {
+        "properties": {
+            "type": {"const": "LineString"},
+            "coordinates": {"type": "array", "items": POSITION, "minItems": 2},
+        }
+    },
+]
+FEATURE = {
+    "required": ["type", "geometry", "properties"],
+    "properties": {"type": {"const": "Feature"}, "geometry": {"oneOf": SHAPES}, "properties": {"type": "object"}},
+}
+SCHEMA = {  # RFC 7946, as far as these layers go
+    "type": "object",
+    "required": ["type", "features"],
+    "properties": {"type": {"const": "FeatureCollection"}, "features": {"type": "array", "items": FEATURE}},
+}
+
+
+def layer(folder, name) -> list[dict]:
+    import jsonschema
+
+    data = json.loads((folder / f"{name}.geojson").read_text())
+    jsonschema.validate(data, SCHEMA)
+    return data["features"]
+
+
+def check_cameras(made, rows):
+    """Rows of (place in the CRS, properties)."""
+    assert len(rows) == len(made.model.images) == 4 * FRAMES
+    for place, said in rows:
+        image = made.model.find_image_with_name(said["name"])
+        assert np.abs(place - ORIGIN.shift_m - image.projection_center()).max() < 1e-3
+        axis = image.cam_from_world().rotation.matrix()[2]
+        heading, pitch = np.radians([said["heading_deg"], said["pitch_deg"]])
+        told = np.array([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
+        assert np.abs(told - axis).max() < 1e-4
+        frame = int(made.scene.frame[made.scene.image_index[said["name"]]])
+        assert said["time_s"] == pytest.approx(made.scene.time_s[frame]) and said["points"] == image.num_points3D
+        assert (said["pass"], said["camera"]) == tuple(said["name"].split("/")[:2])
+        assert 0.034 < said["sigma_m"] < 0.036  # three times two centimetres
+
+
+def test_geojson_is_in_degrees_and_leads_back_to_the_crs(made, tmp_path):
+    assert made.project.export(tmp_path / "out", "geojson") == 4 * FRAMES
+    to_crs = pyproj.Transformer.from_crs("EPSG:4326", ORIGIN.crs, always_xy=True)
+    cameras = layer(tmp_path / "out", "cameras")
+    check_cameras(made, [(np.array(to_crs.transform(*f["geometry"]["coordinates"])), f["properties"]) for f in cameras])
+    views = layer(tmp_path / "out", "views")
+    assert len(views) == len(cameras)
+    for view in views:
+        start, end = (np.array(to_crs.transform(*c)) for c in view["geometry"]["coordinates"])
+        axis = made.model.find_image_with_name(view["properties"]["name"]).cam_from_world().rotation.matrix()[2]
+        assert np.abs((end - start) - view["properties"]["distance_m"] * axis).max() < 2e-3
+    ties = layer(tmp_path / "out", "ties")
+    assert [t["properties"]["matches"] for t in ties] == [50, 20, 10]
+    assert (ties[0]["properties"]["a"], ties[0]["properties"]["b"]) == made.scene.names[:2]
+    at = {f["properties"]["name"]: f["geometry"]["coordinates"] for f in cameras}
+    assert all(t["geometry"]["coordinates"] == [at[t["properties"][k]] for k in "ab"] for t in ties)
+
+
+@pytest.mark.slow
+def test_gpkg_is_in_the_crs_and_has_styles(made, tmp_path):
+    raw = pytest.importorskip("pyogrio.raw")
+    assert made.project.export(tmp_path / "out", "gpkg") == 4 * FRAMES
+    path = tmp_path / "out" / maps.FILE
+    meta, _, shapes, columns = raw.read(path, layer="cameras")
+    assert pyproj.CRS.from_user_input(meta["crs"]) == pyproj.CRS.from_user_input(ORIGIN.crs)
+    places = [np.frombuffer(shape[5:29], "<f8") for shape in shapes]  # WKB of a point with height
+    names = list(meta["fields"])
+    check_cameras(made, [(p, dict(zip(names, row))) for p, row in zip(places, zip(*columns))])
+    meta, _, shapes, columns = raw.read(path, layer="ties")
+    assert dict(zip(meta["fields"], columns))["matches"].tolist() == [50, 20, 10]
+    with sqlite3.connect(path) as data:
+        rows = data.execute(
+            "SELECT f_table_name, f_geometry_column, styleQML, useAsDefault FROM layer_styles"
+        ).fetchall()
+        geometry = dict(data.execute("SELECT table_name, column_name FROM gpkg_geometry_columns").fetchall())
+    assert {row[0] for row in rows} == set(geometry) == {"cameras", "views", "ties"}
+    for name, column, style, default in rows:
+        assert column == geometry[name] and default == 1
+        root = xml.fromstring(style.split("\n", 1)[1])
+        assert root.tag == "qgis" and root.find("renderer-v2/symbols/symbol/layer") is not None
+
+
+@pytest.mark.slow
+def test_a_world_without_crs_is_in_degrees_too(tmp_path):
+    made = finished(tmp_path, origin=Origin(35.0, 139.0, 12.0))
+    made.project.export(tmp_path / "map", "geojson")
+    zero = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    for feature in layer(tmp_path / "map", "cameras"):
+        centre = made.model.find_image_with_name(feature["properties"]["name"]).projection_center()
+        there = np.array(zero.transform(*feature["geometry"]["coordinates"]))
+        assert np.linalg.norm(there - zero.transform(139.0, 35.0, 12.0)) == pytest.approx(
+            np.linalg.norm(centre), abs=1e-3
+        )
+
+
+@pytest.mark.slow
+def test_what_a_map_refuses(tmp_path, monkeypatch, made):
+    free = finished(tmp_path, origin=None)
+    for name in ("geojson", "gpkg"):
+        with pytest.raises(InputError, match="not on the Earth"):
+            free.project.export(tmp_path / name, name)
+    monkeypatch.setitem(__import__("sys").modules, "pyogrio", None)
+    with pytest.raises(EngineMissing, match="pip install"):
+        made.project.export(tmp_path / "none", "gpkg")
+    assert not (tmp_path / "none").exists()

@@ -1,4 +1,4 @@
-"""SIFT of both engines: place, scale, normalisation, masks, limits, order."""
+"""SIFT of both engines: place, scale, normalisation, masks, limits, order, and images of little contrast."""
 
 import cv2
 import numpy as np
@@ -6,8 +6,18 @@ import pytest
 
 from tiegraph.errors import InputError
 from tiegraph.features import sift
-from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import EXTRACTORS, extract_colmap, extract_image, extract_sift, read_mask, root_sift
+from tiegraph.features.preview import extract_preview
+from tiegraph.features.settings import FeaturesSettings, PreviewSettings
+from tiegraph.features.sift import (
+    EXTRACTORS,
+    contrast,
+    evened,
+    extract_colmap,
+    extract_image,
+    extract_sift,
+    read_mask,
+    root_sift,
+)
 from tiegraph.features.tuning import SiftTuning, Tuning
 
 SETTINGS, TUNING = FeaturesSettings(), SiftTuning()
@@ -202,3 +212,53 @@ def test_file_errors_name_the_file_and_a_remedy(tmp_path):
     ):  # fmt: skip
         with pytest.raises(InputError, match=said):
             read_mask(tmp_path / file, (10, 16))
+
+
+DIM = Tuning()
+
+
+def view(levels: float, shift: int = 0, noise: float = 0.7) -> np.ndarray:
+    """(480, 640) u1 of a texture of many scales, moved by ``shift`` columns, that shows so much contrast, lit from the
+    left; with noise of its own."""
+    rng = np.random.default_rng(0)
+    texture = sum(cv2.GaussianBlur(rng.normal(size=(480, 760)), (0, 0), s) * s for s in (1.5, 3, 6))
+    seen = texture[:, 40 + shift : 680 + shift]
+    lamp = np.linspace(90, 40, 640)[None]
+    own = np.random.default_rng(100 + shift).normal(size=seen.shape) * noise
+    return np.clip(np.rint(lamp + levels * seen / seen.std() + own), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("levels", [3.0, 6.0, 20.0])
+def test_contrast_is_what_a_tenth_of_the_blocks_show(levels: float) -> None:
+    assert 0.6 * levels < contrast(view(levels), DIM.contrast) < 1.5 * levels
+    assert contrast(np.full((480, 640), 77, np.uint8), DIM.contrast) == 0
+
+
+def test_only_what_shows_little_is_evened() -> None:
+    clear, dim = view(20), view(4)
+    assert evened(clear, DIM.contrast) is clear
+    assert contrast(evened(dim, DIM.contrast), DIM.contrast) > 2 * contrast(dim, DIM.contrast)
+    never = DIM.contrast.model_copy(update={"enough": 0.0})
+    assert evened(dim, never) is dim
+
+
+def test_dim_images_are_tied_by_their_texture_and_not_by_their_noise() -> None:
+    """As it is a dim view shows a handful of features; evened it has hundreds, and they move as the texture did."""
+    asked = FeaturesSettings()
+    plain = extract_sift(view(3), None, asked, DIM.sift)[0]
+    first, second = (extract_sift(evened(view(3, s), DIM.contrast), None, asked, DIM.sift) for s in (0, 24))
+    assert len(first[0]) > 5 * max(len(plain), 20)
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(first[1].astype(np.float32), second[1].astype(np.float32), k=2)
+    good = [a for a, b in pairs if a.distance < 0.8 * b.distance]
+    moved = np.array([first[0][m.queryIdx, :2] - second[0][m.trainIdx, :2] for m in good])
+    assert len(good) > 150 and np.mean(np.linalg.norm(moved - [24, 0], axis=1) < 1.5) > 0.8
+
+
+def test_a_preview_of_a_dim_image_has_features_and_the_brightness_of_the_image_itself() -> None:
+    dim = view(3)
+    found = extract_preview(dim, None, PreviewSettings(), DIM)
+    never = DIM.model_copy(update={"contrast": DIM.contrast.model_copy(update={"enough": 0.0})})
+    plain = extract_preview(dim, None, PreviewSettings(), never)
+    assert len(found) > 5 * max(len(plain), 20)
+    assert found.brightness == plain.brightness == pytest.approx(65, abs=2)
+    np.testing.assert_array_equal(found.shares, plain.shares)

@@ -1,15 +1,20 @@
-"""Textures and files: colours of the truth, seams levelled, patches that do not overlap, files that others open."""
+"""From points to triangles; which image a face has its colour from; textures and files that others open."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial import cKDTree
 
 import mesh_world as world
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry import transforms
 from tiegraph.mesh.files import Textured, glb, mtl, obj
+from tiegraph.mesh.settings import MeshSettings
+from tiegraph.mesh.surface import Mesh, mesh_of, pieces, ply_of, read_ply, thinned, trimmed_border
 from tiegraph.mesh.texture import (
     PAD,
     bare_blocks,
@@ -25,8 +30,8 @@ from tiegraph.mesh.texture import (
     places,
     vertex_mean,
 )
-from tiegraph.mesh.tuning import TextureTuning, ViewTuning
-from tiegraph.mesh.views import UNSEEN, chosen, seen_by
+from tiegraph.mesh.tuning import SurfaceTuning, TextureTuning, ViewTuning
+from tiegraph.mesh.views import UNSEEN, Seen, chosen, patches, seen_by, without_bubbles
 
 ALL = np.ones((360, 480), bool)
 VIEWS = world.views()
@@ -201,3 +206,250 @@ def test_other_programs_open_the_files(files, name):
     middle = corners.mean(axis=1) - [1234.567, -987.654, 12.345]
     off = np.abs(colours - np.clip(world.colour(middle), 0, 255)).max(axis=1)
     assert np.median(off) < 10
+
+
+TUNING = ViewTuning()
+
+
+@pytest.fixture(scope="module")
+def seen(mesh):
+    return [seen_by(v, mesh, ALL, world.depth_map(v), TUNING) for v in world.views()]
+
+
+def middles(mesh):
+    return mesh.xyz[mesh.corners].mean(axis=1)
+
+
+def test_an_image_sees_what_faces_it_and_nothing_hides(mesh, seen):
+    """The truth: a ray from the camera, or through a pixel beside, meets the box there first."""
+    for view, found in zip(world.views(), seen):
+        depth = world.seen(view)[0]
+        xy, z = view.project(middles(mesh))
+        column, row = np.clip(xy.astype(int), 1, [478, 358]).T
+        around = [depth[row + y, column + x] for y in (-1, 0, 1) for x in (-1, 0, 1)]
+        truly = (np.abs(np.array(around) - z) < 0.1).any(axis=0)
+        got = np.zeros(len(truly), bool)
+        got[found.face] = True
+        hidden = (got & ~truly)[found.face]  # behind an edge by less than a face: such an image hardly counts
+        assert hidden.sum() < 10 and found.quality[hidden].max(initial=0.0) < 0.01 * np.median(found.quality)
+        towards = transforms.centre(view.cam_from_world) - middles(mesh)
+        plain = truly & (np.einsum("nk,nk->n", towards, mesh.normals) > 0.1 * np.linalg.norm(towards, axis=1))
+        assert (got & plain).sum() > 0.95 * plain.sum()
+
+
+def test_what_stands_before_the_mesh_in_the_image_is_not_its_colour(mesh, seen):
+    view = world.views()[0]
+    own = world.depth_map(view)
+    person = own.depth_m.copy()
+    person[150:220, 200:260] -= 1.5
+    found = seen_by(view, mesh, ALL, replace(own, depth_m=person), TUNING)
+    lost = np.setdiff1d(seen[0].face, found.face)
+    x, y = view.project(middles(mesh))[0][lost].T
+    assert len(lost) > 20 and (x > 195).all() and (x < 265).all() and (y > 145).all() and (y < 225).all()
+
+
+def test_masks_are_respected_and_faces_beside_them_count_less(mesh, seen):
+    view = world.views()[0]
+    mask = ALL.copy()
+    mask[:, 240:] = False
+    found = seen_by(view, mesh, mask, world.depth_map(view), TUNING)
+    assert len(found.face) and (view.project(middles(mesh))[0][found.face, 0] < 240).all()
+    before = dict(zip(seen[0].face.tolist(), seen[0].quality.tolist()))
+    share = np.array([q / before[f] for f, q in zip(found.face.tolist(), found.quality.tolist())])
+    beside = view.project(middles(mesh))[0][found.face, 0] > 232
+    assert (share <= 1.0001).all() and (share[beside] < 0.6).all() and np.median(share) > 0.95
+
+
+def test_without_a_depth_map_an_image_counts_little(mesh, seen):
+    bare = seen_by(world.views()[0], mesh, ALL, None, TUNING)
+    assert set(seen[0].face) <= set(bare.face)
+    assert bare.quality.max() < 0.1 * seen[0].quality.max()
+
+
+def test_a_nearer_and_a_more_frontal_image_is_better(mesh):
+    front, top = world.view("f", [2.0, -6.0, 1.0]), int(np.argmin(np.linalg.norm(middles(mesh) - [2, 0, 1], axis=1)))
+
+    def quality(view):
+        found = seen_by(view, mesh, ALL, None, TUNING)
+        return dict(zip(found.face.tolist(), found.quality.tolist()))[top]
+
+    assert quality(front) > quality(world.view("far", [2.0, -9.0, 1.0]))
+    assert quality(front) > quality(world.view("oblique", [6.0, -4.5, 1.0]))
+
+
+def test_neighbours_agree_on_few_images(mesh, seen):
+    label = chosen(seen, mesh, TUNING)
+    shown = [set(s.face.tolist()) for s in seen]
+    assert (label != UNSEEN).mean() > 0.97
+    assert all(face in shown[k] for face, k in enumerate(label) if k != UNSEEN)
+    alone = chosen(seen, mesh, TUNING.model_copy(update={"rounds": 0, "least_faces": 1}))
+    count = [len(np.unique(patches(each, mesh.neighbours()))) for each in (label, alone)]
+    assert count[0] <= 14 and count[0] <= count[1]
+    best = {k: 0.0 for k in range(len(label))}
+    got = dict.fromkeys(best, 0.0)
+    for v, s in enumerate(seen):
+        for f, q in zip(s.face.tolist(), s.quality.tolist()):
+            best[f] = max(best[f], q)
+            got[f] = q if label[f] == v else got[f]
+    assert np.mean([got[f] / best[f] for f in best if best[f]]) > 0.85
+
+
+def test_small_patches_go_to_their_neighbours(mesh):
+    """Two images that are equally good by turns, face by face."""
+    rng = np.random.default_rng(0)
+    every = np.arange(len(mesh.corners))
+    noisy = [Seen(every, rng.uniform(0.9, 1.1, len(every)).astype(np.float32)) for _ in range(2)]
+    label = chosen(noisy, mesh, TUNING)
+    size = np.bincount(patches(label, mesh.neighbours()))
+    assert size[size > 0].min() >= TUNING.least_faces and len(size) < len(every) / 50
+
+
+def test_nothing_seen_is_no_image(mesh):
+    nothing = Seen(np.zeros(0, int), np.zeros(0, np.float32))
+    assert (chosen([nothing], mesh, TUNING) == UNSEEN).all() and (chosen([], mesh, TUNING) == UNSEEN).all()
+
+
+def test_what_no_image_sees_goes_at_the_border_and_stays_within(mesh):
+    label = np.zeros(len(mesh.corners), int)
+    x, y, z = middles(mesh).T
+    crack = (z > 1.99) & (np.hypot(x - 2, y - 1.5) < 0.4)
+    rim = (z < 0.3) & (y < 0.01)
+    label[crack | rim] = UNSEEN
+    kept = without_bubbles(mesh, label)
+    assert crack.any() and rim.any() and kept[crack].all() and not kept[rim].any() and kept[~rim].all()
+
+
+TUNING_SURFACE = SurfaceTuning()
+
+
+def here(function, *args):
+    return function(*args)
+
+
+def made(cloud, folder, **settings):
+    folder.mkdir(exist_ok=True)
+    return mesh_of(cloud, world.SPACING, MeshSettings(**settings), TUNING_SURFACE, folder, here)
+
+
+def sampled(mesh, count=40_000, seed=0):
+    """Places all over a mesh."""
+    rng = np.random.default_rng(seed)
+    area = np.linalg.norm(mesh.across, axis=1)
+    face = rng.choice(len(area), count, p=area / area.sum())
+    a, b = np.sort(rng.uniform(size=(2, count)), axis=0)
+    weight = np.stack([a, b - a, 1 - b], axis=1)
+    return np.einsum("nk,nkc->nc", weight, mesh.xyz[mesh.corners[face]])
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    return made(world.cloud(), tmp_path_factory.mktemp("box") / "scratch")
+
+
+def test_the_surface_is_the_box_on_both_sides(box):
+    off = world.distance(sampled(box))
+    assert np.quantile(off, 0.9) < 2 * world.NOISE_M and off.max() < 3 * world.SPACING
+    missed = cKDTree(sampled(box)).query(world.surface()[0])[0]
+    assert np.quantile(missed, 0.99) < world.SPACING
+
+
+def test_it_is_open_where_no_points_are_and_faces_outwards(box):
+    middle = box.xyz[box.corners].mean(axis=1)
+    under = (np.abs(middle[:, 2]) < 0.3) & (np.abs(middle[:, :2] - world.SIZE[:2] / 2) < 0.5).all(axis=1)
+    assert not under.any() and middle[:, 2].min() > -0.4
+    outward = np.einsum("nk,nk->n", box.normals, middle - world.SIZE / 2)
+    assert (outward > 0).mean() > 0.99 and len(np.unique(pieces(len(box.corners), box.neighbours()))) == 1
+
+
+def test_vertices_have_the_colours_of_the_points(box):
+    off = np.abs(box.rgb - np.clip(world.colour(box.xyz), 0, 255))
+    assert np.median(off) < 6
+
+
+def test_a_coarser_mesh_keeps_the_shape(box, tmp_path):
+    coarse = made(world.cloud(), tmp_path / "scratch", faces=1500)
+    assert len(coarse.corners) <= 1500 < len(box.corners) / 4
+    assert np.quantile(world.distance(sampled(coarse)), 0.9) < 0.02
+
+
+def test_the_same_points_make_the_same_mesh(box, tmp_path):
+    again = made(world.cloud(), tmp_path / "scratch")
+    assert (again.xyz == box.xyz).all() and (again.corners == box.corners).all()
+
+
+def test_uncertain_points_end_the_surface(tmp_path):
+    cloud = world.cloud()
+    doubtful = cloud.xyz_m[:, 0] > 2.5
+    unsure = replace(cloud, sigma_m=np.where(doubtful, np.float32(0.2), cloud.sigma_m))
+    cut = made(unsure, tmp_path / "scratch", max_sigma_m=0.1)
+    assert 2.4 < cut.xyz[:, 0].max() < 2.5 + 4 * 2 * world.SPACING
+    assert made(unsure, tmp_path / "all").xyz[:, 0].max() > 3.9
+
+
+def test_points_far_away_are_bridged_or_left_out(tmp_path):
+    cloud = world.cloud()
+    gap = np.linalg.norm(cloud.xyz_m - [2.0, 1.5, 2.0], axis=1) < 0.15
+    hole = np.linalg.norm(cloud.xyz_m - [2.0, 0.0, 1.0], axis=1) < 0.8
+    mesh = made(cloud.where(~gap & ~hole), tmp_path / "scratch")
+    near = cKDTree(sampled(mesh))
+    assert near.query([2.0, 1.5, 2.0])[0] < 0.1 and near.query([2.0, 0.0, 1.0])[0] > 0.4
+
+
+def test_no_surface_of_no_points(tmp_path):
+    cloud = world.cloud()
+    blind = replace(cloud, normal=np.full_like(cloud.normal, np.nan))
+    with pytest.raises(ReconstructionError, match="0 points of .* have a normal"):
+        made(blind, tmp_path / "a")
+    with pytest.raises(ReconstructionError, match=r"raise --mesh.max-sigma-m \(0.001\)"):
+        made(cloud, tmp_path / "b", max_sigma_m=0.001)
+
+
+def test_points_are_thinned_to_means_by_their_sigmas():
+    cloud = world.cloud().where(np.arange(2))
+    two = replace(
+        cloud,
+        xyz_m=np.array([[0.1, 0.1, 0.1], [0.4, 0.1, 0.1]]),
+        sigma_m=np.array([1.0, 2.0], np.float32),
+        normal=np.array([[0, 0, 1], [0, 0, 1]], np.float32),
+    )
+    one = thinned(two, 1.0)
+    assert np.allclose(one.xyz_m, [[0.16, 0.1, 0.1]]) and one.sigma_m.tolist() == [1.0]
+    assert np.allclose(one.normal, [[0, 0, 1]]) and len(thinned(two, 0.2)) == 2
+
+
+def test_a_mesh_comes_back_from_its_ply(tmp_path):
+    mesh = world.true_mesh(3)
+    (tmp_path / "m.ply").write_bytes(ply_of(mesh, said=("crs none",)))
+    back = read_ply(tmp_path / "m.ply")
+    assert (back.xyz == mesh.xyz).all() and (back.corners == mesh.corners).all() and (back.rgb == mesh.rgb).all()
+
+
+def test_neighbours_share_an_edge():
+    mesh = world.true_mesh(2)
+    pairs = mesh.neighbours()
+    shared = [len(set(mesh.corners[a]) & set(mesh.corners[b])) for a, b in pairs]
+    assert set(shared) == {2}
+    faces, border = len(mesh.corners), 4 * 2
+    assert len(pairs) == (3 * faces - border) / 2
+    alone = mesh.of_faces(np.arange(faces) < 1)
+    assert len(alone.xyz) == 3 and isinstance(alone, Mesh) and not len(alone.neighbours())
+
+
+def test_teeth_at_the_border_go():
+    """A strip whose lower border is cut in teeth: it becomes a line, and what lies within stays where it is."""
+    mesh = world.true_mesh(16)
+    middle = mesh.xyz[mesh.corners].mean(axis=1)
+    row = np.abs(middle[:, 2] - 0.0625) < 0.0625
+    teeth = mesh.of_faces(~(row & (np.arange(len(row)) % 2 == 0)))
+    smooth, kept = trimmed_border(teeth, TUNING_SURFACE.border_rounds)
+
+    def length(of):
+        edges, count = np.unique(np.sort(of.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0, return_counts=True)
+        ends = of.xyz[edges[count == 1]]
+        return np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum()
+
+    assert len(kept) == len(teeth.corners) and kept.mean() > 0.95 and len(smooth.corners) == kept.sum()
+    assert length(smooth) < 0.9 * length(teeth) and world.distance(smooth.xyz).max() < 0.08
+    inner = smooth.xyz[:, 2] > 0.5
+    assert np.isin(np.round(smooth.xyz[inner], 9), np.round(mesh.xyz, 9)).all()
+    assert (trimmed_border(teeth, 0)[0].xyz == teeth.xyz).all()

@@ -1,4 +1,4 @@
-"""File names that are no text, too long, or lead elsewhere."""
+"""File names that are no text, too long, or lead elsewhere; order of names; what is kept of files in memory."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import unicodedata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tiegraph
@@ -16,13 +17,17 @@ from scan.scan_worlds import picture
 from tiegraph.cli.main import main
 from tiegraph.errors import SettingsError
 from tiegraph.masks.folder import find_mask
+from tiegraph.pipeline import design
+from tiegraph.pipeline import features as previews
 from tiegraph.project.settings import merged
 from tiegraph.scan.scan import safe_names
+from tiegraph.scene.atomic import cached_by_file
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.names import LONGEST_BYTES, check_name, clean, clean_names, inside, shortened, unclean
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 from tiegraph.text import one_line, printable
 
 SJIS = os.fsdecode(b"\x8e\xca\x90^.jpg")  # "photograph" in Shift-JIS, as Linux hands it to Python
@@ -204,3 +209,65 @@ def test_a_survey_of_nasty_names(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(made) == 18 and all(len(os.fsencode(p.name)) < 255 for p in made)
     log = (out / "log.txt").read_text(encoding="utf-8")
     assert "\x1b" not in log and "\u202e" not in log
+
+
+@pytest.mark.parametrize("most", [10, 2**40])
+def test_order_is_stable(most):
+    numbers = np.random.default_rng(0).integers(0, most, 1000)
+    order = order_of(numbers)
+    np.testing.assert_array_equal(order, np.argsort(numbers, kind="stable"))
+    np.testing.assert_array_equal(numbers[order][run_starts(numbers[order])], np.unique(numbers))
+
+
+def test_nothing_to_sort():
+    assert len(order_of(np.zeros(0, int))) == len(run_starts(np.zeros(0, int))) == 0
+
+
+@pytest.mark.parametrize("wide", [5, 2**30])
+def test_equal_columns_have_equal_numbers(wide):
+    columns = np.random.default_rng(0).integers(-wide, wide, (3, 200))
+    columns[:, 100:] = columns[:, :100]
+    numbers = row_numbers(columns)
+    assert numbers.min() >= 0
+    np.testing.assert_array_equal(numbers[:100], numbers[100:])
+    np.testing.assert_array_equal(np.argsort(numbers[:100], kind="stable"), np.lexsort(columns[::-1, :100]))
+
+
+def replace(path, text):
+    path.with_suffix(".new").write_text(text)
+    os.replace(path.with_suffix(".new"), path)
+
+
+def test_a_file_is_read_once_and_again_when_replaced_or_changed(tmp_path):
+    calls = []
+
+    @cached_by_file(maxsize=2)
+    def read(path, upper):
+        calls.append(path)
+        text = path.read_text()
+        return text.upper() if upper else text
+
+    path = tmp_path / "a.txt"
+    replace(path, "one")
+    assert [read(path, False), read(path, False), read(path, True)] == ["one", "one", "ONE"]
+    assert len(calls) == 2
+    replace(path, "two")
+    assert read(path, False) == "two"
+    path.write_text("three")
+    assert read(path, False) == "three"
+    read.cache_clear()
+    path.unlink()
+    with pytest.raises(FileNotFoundError):
+        read(path, False)
+
+
+@pytest.mark.parametrize(
+    "read, below", [(previews.scene_of, ()), (design._checked, ("network",))], ids=["previews", "accuracy"]
+)
+def test_scene_of_a_run_folder_is_that_of_its_last_run(read, below, tmp_path, monkeypatch):
+    monkeypatch.setattr(previews.Scene, "from_json", staticmethod(str))
+    path = tmp_path.joinpath(*below, "scene.json")
+    path.parent.mkdir(exist_ok=True)
+    for text in ("first", "other"):
+        replace(path, text)
+        assert read(tmp_path) == text

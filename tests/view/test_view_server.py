@@ -1,20 +1,28 @@
-"""What the server of the page gives, and what it gives to nobody."""
+"""What the server of the page gives, and to nobody else; the page in a real browser."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
+import subprocess
 from collections.abc import Callable, Iterator
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
 from threading import Thread
+from typing import TYPE_CHECKING
 
+import cv2
+import numpy as np
 import pytest
 
+from tiegraph.api import open_project
 from tiegraph.cli.main import main
+from tiegraph.errors import EngineMissing
 from tiegraph.pipeline.pages import ViewServer
-from tiegraph.pipeline.view import CLOUD
+from tiegraph.pipeline.view import CLOUD, open_view
+from tiegraph.report.pdf import find_browser
 from tiegraph.scene.atomic import MARK
 from view.view_world import as_run
 
@@ -130,3 +138,39 @@ def test_a_run_without_a_cloud_says_what_makes_one(tmp_path: Path, capsys: pytes
     assert main(["view", str(tmp_path), "--no-browser"]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert f"{CLOUD} is not there" in said and "tiegraph cloud" in said
+
+
+if TYPE_CHECKING:
+    from campaign.world import World
+
+SIZE = (1000, 700)
+
+
+@pytest.mark.slow
+def test_a_browser_draws_the_cloud_of_a_run(finished: World, tmp_path: Path) -> None:
+    try:
+        browser = find_browser()
+    except EngineMissing:
+        pytest.skip("no browser of the Chromium family on the PATH")
+    viewed = open_view(open_project(None, finished.after("report", tmp_path / "run")).as_run())
+    said = viewed.layers()
+    assert said["ties"] and said["cameras"] and viewed.points > 1000
+    for k in range(len(said["sheets"])):
+        rows, columns = viewed.mesh(k)[:2]
+        assert len(viewed.mesh(k)) == 2 + 3 * rows * columns and viewed.picture(k)[1:4] == b"PNG"
+    server = ViewServer(viewed)
+    Thread(target=server.serve_forever, daemon=True).start()
+    place = ",".join(f"{v:.3f}" for v in viewed.middle)
+    shot = tmp_path / "shot.png"
+    command = [browser, "--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run"]
+    command += ["--no-sandbox"] if os.geteuid() == 0 else []
+    command += [f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={SIZE[0]},{SIZE[1]}"]
+    command += ["--virtual-time-budget=20000", f"--screenshot={shot}", f"{server.url}#{place}"]
+    try:
+        subprocess.run(command, capture_output=True, timeout=240, check=True)
+    finally:
+        server.shutdown()
+        server.server_close()
+    drawn = cv2.imread(str(shot))[:, 340:]
+    off = np.abs(drawn.astype(int) - drawn[5, 5]).max(axis=2) > 20
+    assert 0.03 < off.mean() < 0.95 and len(np.unique(drawn[off], axis=0)) > 200
