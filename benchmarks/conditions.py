@@ -11,6 +11,8 @@ FOLDER ...`` prints how much contrast the images below a folder show: the least,
 * ``exposure``: each image has a gain of up to so many times more or less, and a gamma between 0.5 and 2.
 * ``blur``: every image is smeared over so many pixels along its rows.
 * ``rain``: so many drops on each lens blur what is behind them and stand still.
+* ``fog``: a contrast of 1 falls to 0.05 over so many metres (the meteorological visibility); only where depth maps
+  of the truth are (``canal``, or ``canal@FOLDER`` rendered by the generator of the data sets).
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ import numpy as np
 from benchmarks import datasets, variants
 from benchmarks.papers.measure import COLMAP, one_run
 from benchmarks.table import line, put
+from tiegraph.errors import InputError
 from tiegraph.features.sift import contrast
 from tiegraph.features.tuning import ContrastTuning
 
@@ -38,9 +41,13 @@ _RESULTS, _DOCUMENT = _ROOT / "benchmarks" / "results" / "conditions.json", _ROO
 BEGIN, END = "<!-- python -m benchmarks.conditions --write -->", "<!-- end of the conditions -->"
 _READ, _SHOT, _VEIL = 0.7, 0.05, 40.0  # grey levels; variance of the shot noise over the signal; grey levels
 
+METHODS = ("tiegraph", "not evened", "COLMAP")  # the second: tiegraph without evening
+
 Image = np.ndarray
 Worse = Callable[[Image, float, np.random.Generator, np.random.Generator], Image]
-"""(H, W, 3) grey levels f4, severity, random numbers of the image and of its camera -> the same made worse."""
+"""(H, W, 3) grey levels f4 (fog: and the depth), severity, random numbers of the image and of its camera -> the same
+made worse."""
+_FOG, _LAST = 190.0, 0.05  # grey levels of the fog itself; the contrast that is left at the visibility
 
 
 def _dim(image: Image, levels: float, rng: np.random.Generator, _: np.random.Generator) -> Image:
@@ -80,12 +87,20 @@ def _rained(image: Image, drops: float, _: np.random.Generator, fixed: np.random
     return (1 - cover) * image + cover * behind
 
 
+def _fogged(image: Image, visible_m: float, rng: np.random.Generator, _: np.random.Generator) -> Image:
+    """The fourth channel is the depth, metres, 0 = sky."""
+    shown, depth_m = image[..., :3], image[..., 3:]
+    left = np.where(depth_m > 0, _LAST ** (depth_m / visible_m), 0)
+    return left * shown + (1 - left) * _FOG + rng.normal(size=shown.shape) * _READ
+
+
 CONDITIONS: dict[str, tuple[Worse, tuple[float, ...]]] = {
     "contrast": (_dim, (12, 6, 3)),
     "lamp": (_lamp, (0.3, 0.1, 0.03)),
     "exposure": (_exposed, (2, 4, 8)),
     "blur": (_smeared, (3, 6, 12)),
     "rain": (_rained, (5, 15, 40)),
+    "fog": (_fogged, (60, 30, 15)),
 }
 
 
@@ -95,6 +110,8 @@ def worsened(dataset: datasets.Dataset, name: str, severity: float, folder: Path
     truth = {}
     for image, pose in dataset.cam_from_world.items():
         pixels = cv2.imread(str(dataset.images / image)).astype(np.float32)
+        if name == "fog":
+            pixels = np.dstack([pixels, _depth_m(dataset, image)])
         own, camera = (np.random.default_rng(crc32(f"{name} {k}".encode())) for k in (image, Path(image).parent))
         made = np.clip(np.rint(worse(pixels, severity, own, camera)), 0, 255).astype(np.uint8)
         target = (folder / image).with_suffix(".png")
@@ -112,12 +129,23 @@ def worsened(dataset: datasets.Dataset, name: str, severity: float, folder: Path
     return replace(dataset, images=folder, cam_from_world=truth, times=times)
 
 
+def _depth_m(dataset: datasets.Dataset, image: str) -> np.ndarray:
+    """(H, W) f4, 0 = sky. Raises InputError where there is no map."""
+    path = (dataset.images.parent / "gt" / "depth" / image).with_suffix(".png")
+    depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if depth is None:
+        raise InputError(
+            f"{dataset.name}: no depth map {path}; fog needs the depth of the truth (--conditions without it)"
+        )
+    return depth.astype(np.float32) / 256
+
+
 def main(argv: list[str] | None = None) -> int:
     """Measure what FILE lacks; a row is kept when it is made."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="*", default=[])
     parser.add_argument("--conditions", nargs="+", default=list(CONDITIONS), choices=list(CONDITIONS))
-    parser.add_argument("--without", action="store_true", help="of tiegraph too without evening")
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--work", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=_RESULTS)
     parser.add_argument("--write", action="store_true")
@@ -132,16 +160,15 @@ def main(argv: list[str] | None = None) -> int:
         dataset = datasets.load(name, args.work / "inputs")
         for condition in args.conditions:
             for severity in CONDITIONS[condition][1]:
-                _case(dataset, (name, condition, severity), args, kept)
+                _case(dataset, (dataset.name, condition, severity), args, kept)
     if args.write:
         put(_DOCUMENT, BEGIN, END, table(kept))
     return 0
 
 
 def _case(dataset: datasets.Dataset, case: tuple[str, str, float], args: argparse.Namespace, kept: list[dict]) -> None:
-    methods = ["tiegraph", *(["not evened"] if args.without else []), "COLMAP"]
     done = {r["method"] for r in kept if (r["set"], r["condition"], r["severity"]) == case}
-    left = [m for m in methods if m not in done]
+    left = [m for m in args.methods if m not in done]
     folder = args.work / f"{case[0]}-{case[1]}-{case[2]:g}"
     bad = worsened(dataset, case[1], case[2], folder / "images") if left else dataset
     for method in left:
