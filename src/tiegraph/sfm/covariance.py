@@ -36,6 +36,7 @@ from tiegraph.sfm.systematic import (
     LensError,
     lens_errors,
     misplaced,
+    passing,
     unrest,
     untimed,
 )
@@ -159,7 +160,8 @@ def position_sigma(
     mounted, explained = misplaced(model, seen.weighed, fixed, off or {})
     weighed = seen.weighed.without(explained)
     lenses, explained = lens_errors(model, weighed)
-    strays = [*mounted, *unrest(model, weighed.without(explained))]
+    rest = weighed.without(explained)
+    strays = [*mounted, *unrest(model, rest), *passing(model, rest)]
     strays += [] if times is None else untimed(weighed, *times)
     effects = [*(effect for _, effect in lenses), *strays]
     return replace(_sigma(model, seen, effects, tuning.sigma), lenses=tuple(f for f, _ in lenses))

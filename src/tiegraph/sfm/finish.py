@@ -24,7 +24,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import lens
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost, without_outliers
 from tiegraph.sfm.adjustment.constraints import nominal_geometry
-from tiegraph.sfm.adjustment.jacobians import Layout
+from tiegraph.sfm.adjustment.jacobians import Layout, of_time
 from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
 from tiegraph.sfm.model import Findings
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
@@ -44,7 +44,6 @@ from tiegraph.sfm.rig.diagnostics import MATCHES, camera_matches
 from tiegraph.sfm.rig.rig import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.systematic import of_time
 from tiegraph.sfm.tuning import ShutterTuning, SigmaTuning, Tuning
 from tiegraph.text import known_to, some
 

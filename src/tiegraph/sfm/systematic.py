@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 from scipy import sparse
+from scipy.linalg import block_diag
 
 from tiegraph.scene.sorting import evenly
-from tiegraph.sfm.adjustment.jacobians import Layout, System, by_shift, frame_pose
+from tiegraph.sfm.adjustment.jacobians import Layout, System, by_shift, of_images, of_mounting, of_time
 from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.motion import Motion
 
@@ -270,14 +271,35 @@ def unrest(model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effec
     All cameras are treated alike, including the reference; the part that the pose of a frame absorbs is accounted
     for.
     """
-    shared = [own for own in _by_frame(model, weighed.seen) if len(own) > 1]
-    if not shared:
+    return _shaken(weighed, [own for own in _by_frame(model, weighed.seen) if len(own) > 1])
+
+
+def passing(model: pycolmap.Reconstruction, weighed: EffectWeights) -> list[Effect]:
+    """Movements of the scene from shot to shot that only the shorter tracks follow, which have half of the
+    observations, where there are any.
+
+    What passes a camera, such as cars while it stands, fits a movement of the camera, and no residual shows it. But few
+    images see it, and many what stands.
+    """
+    number = weighed.seen.points.indices[weighed.seen.points.indptr[:-1:2]] // 3
+    length = np.bincount(number)[number]
+    parts = [length <= most for most in np.unique(length)[:-1].tolist()]
+    short = min(parts, key=lambda own: abs(own.mean() - 0.5), default=np.zeros(len(length), bool))
+    return _shaken(weighed, _by_frame(model, weighed.seen, short))
+
+
+def _shaken(weighed: EffectWeights, groups: list[list[np.ndarray]]) -> list[Effect]:
+    """The effect of the movements that the observations of images show, in groups that are judged together."""
+    if not groups:
         return []
-    (place, turn, gain), gradient = _straying(weighed, shared)
+    (place, turn, gain), told = _straying(weighed, groups)
     if gain <= 0:
         return []
-    moment = np.tile(np.repeat([place, turn], 3), gradient.shape[1] // 6) * len(shared) / min(len(shared), _MOST_SHOTS)
-    return [Effect(gradient * np.sqrt(moment), np.eye(len(moment)))]
+    found = [one.posterior(np.diag(np.tile(np.repeat([place, turn], 3), len(one.score) // 6))) for one in told]
+    mean = np.concatenate([mean for mean, _ in found])
+    alone = block_diag(*(effect.moment - np.outer(mean, mean) for mean, effect in found))
+    moment = (alone + np.outer(mean, mean)) * len(groups) / len(told)
+    return [Effect(np.hstack([one.gradient for one in told]), moment)]
 
 
 @dataclass(frozen=True)
@@ -295,7 +317,7 @@ def strays_of(model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: C
     """The movement of some cameras (ids), each as if the others were rigid."""
     frames, out = _by_frame(model, weighed.seen), {}
     for camera in cameras:
-        own = [[i] for images in frames for i in images if model.image(i).camera_id == camera]
+        own = [[rows] for shot in frames for rows in shot if weighed.seen.camera[rows[0]] == camera]
         if own:
             (place, turn, gain), _ = _straying(weighed, own)
             rows = np.flatnonzero(weighed.seen.camera == camera)
@@ -306,29 +328,28 @@ def strays_of(model: pycolmap.Reconstruction, weighed: EffectWeights, cameras: C
     return out
 
 
-def _by_frame(model: pycolmap.Reconstruction, seen: System) -> list[list[int]]:
-    """Images with enough observations, grouped by frame."""
-    images, counts = np.unique(seen.image, return_counts=True)
-    of_frame: dict[int, list[int]] = {}
-    for image, count in zip(images.tolist(), counts.tolist()):
-        if count >= _LEAST_OBSERVATIONS:
-            of_frame.setdefault(model.image(image).frame_id, []).append(image)
+def _by_frame(model: pycolmap.Reconstruction, seen: System, some: np.ndarray | None = None) -> list[list[np.ndarray]]:
+    """The observations (R,) of each image that has enough of them, grouped by frame; of ``some`` (O,) bool only."""
+    rows = np.arange(len(seen.image)) if some is None else np.flatnonzero(some)
+    rows = rows[np.argsort(seen.image[rows], kind="stable")]
+    of_frame: dict[int, list[np.ndarray]] = {}
+    for own in np.split(rows, np.flatnonzero(np.diff(seen.image[rows])) + 1):
+        if len(own) >= _LEAST_OBSERVATIONS:
+            of_frame.setdefault(model.image(int(seen.image[own[0]])).frame_id, []).append(own)
     return [own for _, own in sorted(of_frame.items())]
 
 
-def _straying(weighed: EffectWeights, groups: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
-    """For images in groups that are judged together: variances of a coordinate of place and rotation, the gain in log
-    likelihood over none (3,), and their effect (C, 6K) on the gradient."""
-    chosen = [groups[k] for k in evenly(len(groups), _MOST_SHOTS)]
-    size = 6 * max(len(own) for own in chosen)
-    gradient, score = [], np.zeros((len(chosen), size))
-    noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
-    for k, own in enumerate(chosen):
-        part = slice(0, 6 * len(own))
-        told = weighed.score(_of_images(weighed.seen, own))
-        score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.ridged(), told.information
-        gradient.append(told.gradient)
-    return np.array(two_sizes(score, noise, information)), np.hstack(gradient)
+def _straying(weighed: EffectWeights, groups: list[list[np.ndarray]]) -> tuple[tuple[float, float, float], list[Score]]:
+    """For the observations of images, in groups that are judged together: variances of a coordinate of place and
+    rotation, and the gain in log likelihood over none; the scores of the groups, or of some of them."""
+    told = [weighed.score(of_images(weighed.seen, groups[k])) for k in evenly(len(groups), _MOST_SHOTS)]
+    size = max(len(one.score) for one in told)
+    score, noise = np.zeros((len(told), size)), np.tile(np.eye(size), (len(told), 1, 1))
+    information = np.zeros(noise.shape)
+    for k, one in enumerate(told):
+        part = slice(0, len(one.score))
+        score[k, part], noise[k, part, part], information[k, part, part] = one.score, one.ridged(), one.information
+    return two_sizes(score, noise, information), told
 
 
 def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float]) -> list[Effect]:
@@ -338,39 +359,6 @@ def untimed(weighed: EffectWeights, motion: Motion, late_s: Mapping[int, float])
     columns = [of_time(weighed.seen, motion, np.flatnonzero(weighed.seen.camera == k)) for k in sorted(late_s)]
     told = weighed.score(sparse.hstack(columns).tocsr())
     return [told.posterior(np.diag([late_s[k] ** 2 for k in sorted(late_s)]))[1]]
-
-
-def of_time(seen: System, motion: Motion, rows: np.ndarray) -> sparse.csr_matrix:
-    """(2O, 1) derivatives of observations (R,) by the time at which their images were taken."""
-    images, number = np.unique(seen.image[rows], return_inverse=True)
-    rate = np.array([motion.rate(i) for i in images.tolist()]).reshape(-1, 6)[number]
-    values = np.einsum("oij,oj->oi", by_shift(seen, rows), rate)
-    at = (2 * rows[:, None] + np.arange(2)).ravel()
-    return sparse.csr_matrix((values.ravel(), (at, np.zeros(len(at), int))), shape=(len(seen.residual), 1))
-
-
-def _of_images(seen: System, images: list[int]) -> sparse.csr_matrix:
-    """(2O, 6K) derivatives by the shift of the centre and the rotation of each of these images alone."""
-    rows = np.flatnonzero(np.isin(seen.image, images))
-    return _columns(seen, rows, by_shift(seen, rows), 6 * np.searchsorted(images, seen.image[rows]), 6 * len(images))
-
-
-def of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
-    """(2O, 6) derivatives by the shift and the rotation of a camera, along the axes of the rig."""
-    rows = np.flatnonzero(seen.camera == camera)
-    images, number = np.unique(seen.image[rows], return_inverse=True)
-    frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
-    axes = np.stack([frame_pose(f).rotation.matrix().T for f in frames])[number]
-    shifted = by_shift(seen, rows)
-    values = np.concatenate([shifted[:, :, :3] @ axes, shifted[:, :, 3:] @ axes], axis=2)
-    return _columns(seen, rows, values, np.zeros(len(rows), int), 6)
-
-
-def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarray, width: int) -> sparse.csr_matrix:
-    """(2O, width) matrix with the values (R, 2, 6) of some observations in six columns from ``first`` (R,)."""
-    row = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), 6)
-    column = np.repeat(first[:, None] + np.arange(6), 2, axis=0).ravel()
-    return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))
 
 
 def two_sizes(score: np.ndarray, noise: np.ndarray, information: np.ndarray) -> tuple[float, float, float]:

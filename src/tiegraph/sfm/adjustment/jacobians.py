@@ -13,6 +13,7 @@ from scipy import sparse
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.sfm.adjustment import lens, leverarmprior
+from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 _SEED = 0
@@ -245,3 +246,36 @@ def of_lens(model: pycolmap.Reconstruction, seen: System, camera_id: int) -> spa
     at = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), len(camera.params))
     column = np.tile(np.arange(len(camera.params)), 2 * len(rows))
     return sparse.csr_matrix((values.ravel(), (at, column)), shape=(len(seen.residual), len(camera.params)))
+
+
+def of_time(seen: System, motion: Motion, rows: np.ndarray) -> sparse.csr_matrix:
+    """(2O, 1) derivatives of observations (R,) by the time at which their images were taken."""
+    images, number = np.unique(seen.image[rows], return_inverse=True)
+    rate = np.array([motion.rate(i) for i in images.tolist()]).reshape(-1, 6)[number]
+    values = np.einsum("oij,oj->oi", by_shift(seen, rows), rate)
+    at = (2 * rows[:, None] + np.arange(2)).ravel()
+    return sparse.csr_matrix((values.ravel(), (at, np.zeros(len(at), int))), shape=(len(seen.residual), 1))
+
+
+def of_images(seen: System, images: list[np.ndarray]) -> sparse.csr_matrix:
+    """(2O, 6K) derivatives of observations (R,) of each of K images by the shift of its centre and its rotation."""
+    rows, first = np.concatenate(images), 6 * np.repeat(np.arange(len(images)), [len(r) for r in images])
+    return _columns(seen, rows, by_shift(seen, rows), first, 6 * len(images))
+
+
+def of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
+    """(2O, 6) derivatives by the shift and the rotation of a camera, along the axes of the rig."""
+    rows = np.flatnonzero(seen.camera == camera)
+    images, number = np.unique(seen.image[rows], return_inverse=True)
+    frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
+    axes = np.stack([frame_pose(f).rotation.matrix().T for f in frames])[number]
+    shifted = by_shift(seen, rows)
+    values = np.concatenate([shifted[:, :, :3] @ axes, shifted[:, :, 3:] @ axes], axis=2)
+    return _columns(seen, rows, values, np.zeros(len(rows), int), 6)
+
+
+def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarray, width: int) -> sparse.csr_matrix:
+    """(2O, width) matrix with the values (R, 2, 6) of some observations in six columns from ``first`` (R,)."""
+    row = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), 6)
+    column = np.repeat(first[:, None] + np.arange(6), 2, axis=0).ravel()
+    return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))

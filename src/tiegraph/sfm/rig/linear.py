@@ -20,10 +20,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import model_rigs, registered_images
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.jacobians import Layout, of_lens
+from tiegraph.sfm.adjustment.jacobians import Layout, of_lens, of_mounting, of_time
 from tiegraph.sfm.covariance import Linearised
 from tiegraph.sfm.motion import Motion
-from tiegraph.sfm.systematic import of_mounting, of_time
 from tiegraph.sfm.tuning import Tuning
 
 _ANY = 1e-9  # of the stiffness: an undetermined unknown gets a huge sigma instead of a singular matrix
