@@ -21,6 +21,22 @@ and COLMAP's ``ExportBundler``.
 from typing import Literal
 
 Name = Literal[
-    "dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson", "gpkg", "e57"
+    "dense",
+    "nerfstudio",
+    "colmap",
+    "gsplat",
+    "openmvs",
+    "bundler",
+    "opensfm",
+    "opf",
+    "metashape",
+    "tum",
+    "kitti",
+    "geojson",
+    "gpkg",
+    "e57",
+    "3dtiles",
+    "potree",
 ]
-"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` the cloud."""
+"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` and ``potree`` the
+cloud, ``3dtiles`` cloud and mesh."""
