@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 import mesh_world
 from export_world import ORIGIN, finished
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.mesh import levels
 from tiegraph.mesh.files import Textured, glb
 from tiegraph.mesh.surface import Mesh, ply_of
@@ -147,6 +147,19 @@ def test_a_world_that_is_not_on_the_earth_keeps_its_axes(tmp_path):
     xyz = np.concatenate([part.vertices for tile, _ in tiles for part in parts(tmp_path / "t" / "cloud", tile)])
     truth = np.asarray(laspy.read(project.folder / "cloud.copc.laz").xyz)
     assert cKDTree(truth).query(xyz)[0].max() < 5e-4
+
+
+def test_a_damaged_cloud_and_one_without_points_are_named(tmp_path):
+    project = with_cloud(tmp_path)
+    path = project.folder / "cloud.copc.laz"
+    data = bytearray(path.read_bytes())
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(UnreadableArtefact, match=r"cloud.copc.laz"):
+        project.export(tmp_path / "t", "3dtiles")
+    write_copc(lambda: iter([Cloud.empty(ORIGIN)]), path, 0.5, tmp_path)
+    with pytest.raises(InputError, match="no point"):
+        project.export(tmp_path / "t", "3dtiles")
+    assert not (tmp_path / "t").exists()
 
 
 def painted(pixels=40.0):

@@ -4,7 +4,7 @@ and the cloud."""
 import io
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -17,8 +17,8 @@ from tiegraph.dense.undistort import centred_pinhole, view_through
 from tiegraph.errors import InputError, TiegraphError, choose
 from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
 from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
-from tiegraph.export.tiles import FILE as TREE
-from tiegraph.export.tiles import Place, write_points
+from tiegraph.export.tiles3d import FILE as TREE
+from tiegraph.export.tiles3d import Place, write_points
 from tiegraph.limits import explained
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.files import (
@@ -46,7 +46,7 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudchunks import write_e57
 from tiegraph.scene.cloudfile import las_cloud
 from tiegraph.scene.composed import with_cameras
-from tiegraph.scene.copc import copc_middle, copc_nodes
+from tiegraph.scene.copc import Node, copc_middle, copc_nodes
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
 
@@ -136,7 +136,12 @@ def _tiles(run: Run, made: Path) -> tuple[int, str]:
     path, origin = run.path(CLOUD), world_origin(run.folder)
     with reading(path):
         place = Place.about(copc_middle(path, origin), origin)
-        count = write_points(copc_nodes(path, origin), place, made / "cloud")
+
+    def nodes() -> Iterator[Node]:
+        with reading(path):
+            yield from copc_nodes(path, origin)
+
+    count = write_points(nodes(), place, made / "cloud")
     there = [made / "cloud"]
     if run.path(MESH, "mesh.glb").exists():
         write_mesh_tiles(run, place, made / MESH)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.child import run_in_child
-from tiegraph.export.tiles import Place, Tile, write_tree
+from tiegraph.export.tiles3d import Place, Tile, write_tree
 from tiegraph.mesh.levels import Finished, branches, coarse, fine
 from tiegraph.pipeline.files import reading
 from tiegraph.pipeline.mesh import FOLDER

@@ -203,11 +203,14 @@ class Node:
 
 def copc_nodes(path: Path, origin: Origin | None) -> Iterator[Node]:
     """The nodes of a COPC file that ``write_copc`` wrote, coarse ones first, in a world about ``origin``; memory is
-    that of one node."""
+    that of one node. Raises ValueError where nodes are missing."""
     with laspy.CopcReader.open(path) as reader:
         spacing = reader.copc_info.spacing
         entries = sorted(reader.root_page.entries.values(), key=lambda entry: entry.offset)
     with laspy.open(path) as reader:
+        named, count = sum(entry.point_count for entry in entries), reader.header.point_count
+        if named != count:
+            raise ValueError(f"its octree names {named} of {count} points")
         for entry in entries:
             level, *place = (int(getattr(entry.key, name)) for name in ("level", "x", "y", "z"))
             cloud = las_cloud(reader.read_points(entry.point_count), reader.header, origin)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, ecef_from_enu, geodetic_from_world, world_from_geodetic
 from tiegraph.scene import gltf
 from tiegraph.scene.copc import Node
@@ -87,7 +88,7 @@ def write_tree(root: Tile, place: Place, refine: str, folder: Path) -> None:
 
 def write_points(nodes: Iterable[Node], place: Place, folder: Path) -> int:
     """Write the nodes of a cloud, parents first, as tiles with their tree into a new folder; how many points they have.
-    Memory is that of one node, and of the tree."""
+    Memory is that of one node, and of the tree. Raises InputError for a cloud without a point."""
     tiles: dict[tuple[int, ...], Tile] = {}
     count = 0
     folder.mkdir()
@@ -103,6 +104,8 @@ def write_points(nodes: Iterable[Node], place: Place, folder: Path) -> int:
             tiles[(level - 1, *(k // 2 for k in key))].below.append(tile)
         tiles[node.key] = tile
         count += len(xyz)
+    if not tiles:
+        raise InputError("the cloud has no point: look at the depth maps in the report")
     write_tree(tiles[(0, 0, 0, 0)], place, "ADD", folder)
     return count
 
