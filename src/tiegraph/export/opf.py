@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import PIL.Image
@@ -39,7 +40,10 @@ def opf(survey: Survey, target: Path) -> int:
     images = survey.images()
     files = {
         "scene_reference_frame": ("scene-reference-frame", _frame(survey.origin, survey.unit)),
-        "camera_list": ("camera-list", {"cameras": [{"id": _id(i.name), "uri": f"images/{i.name}"} for i in images]}),
+        "camera_list": (
+            "camera-list",
+            {"cameras": [{"id": _id(i.name), "uri": quote(f"images/{i.name}")} for i in images]},
+        ),
         "input_cameras": ("input-cameras", _inputs(survey, images, target)),
         "calibration": ("calibrated-cameras", _calibrated(survey, images)),
     }

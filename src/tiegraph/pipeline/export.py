@@ -100,9 +100,12 @@ def hand_out_cloud(run: Run, target: Path, name: str) -> int:
     Raises EngineMissing without the form's library, InputError for a folder that holds something and a full disk.
     """
     must_be_empty(target)
-    with replacing(target.absolute()) as made:
-        made.mkdir()
-        count, opened = CLOUDS[name](run, made)
+    try:
+        with replacing(target.absolute()) as made:
+            made.mkdir()
+            count, opened = CLOUDS[name](run, made)
+    finally:
+        run.close()
     run.reporter.say(f"opened by: {opened.format(folder=target)}")
     return count
 
