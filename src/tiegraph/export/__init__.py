@@ -16,7 +16,7 @@ north, up about a place.
 The cloud needs no such view: ``tiles3d`` writes its octree, and a mesh in levels of detail, as 3D Tiles.
 
 Read for this: nerfstudio's ``nerfstudio_dataparser.py``, ``depth_dataset.py`` and ``data_utils.py`` (1.1.5), gsplat's
-``examples/datasets/colmap.py``, Inria's ``dataset_readers.py``, OpenMVS's ``InterfaceCOLMAP.cpp``, OpenSfM's ``io.py``
+``examples/datasets/colmap.py``, Inria's ``dataset_readers.py``, OpenMVS's ``InterfaceCOLMAP.cpp``, OpenSfM's ``io.py``,
 COLMAP's ``ExportBundler``, Pix4D's specification of OPF 1.0, Metashape's manual (appendix on camera models) and the
 3D Tiles specification 1.1.
 """
