@@ -172,7 +172,7 @@ class Project:
         return glue.judged(block, name, STAGES, [n for n in notes if n])
 
     def export(self, folder: str | Path, to: str = "dense", camera: str = "", reporter: Reporter | None = None) -> int:
-        """Write a folder for another program; how many images, poses, cameras or (e57) points it has. ``to``:
+        """Write a folder for another program; how many images, poses, cameras or points it has. ``to``:
         ``dense``, the depth maps as a dense workspace of COLMAP, or a name of `tiegraph export --to`; ``camera``: whose
         trajectory tum and kitti are of (default: the rig's). Raises InputError for what is not there yet, a world that
         is not on the Earth (geojson, gpkg) and a folder that holds something, SettingsError for a name that is none."""
@@ -182,11 +182,11 @@ class Project:
 
             return hand_over(self.as_run(), Path(folder))
         self._needed("sparse/world", "georef")
-        from tiegraph.pipeline.export import hand_out, hand_out_e57  # likewise
+        from tiegraph.pipeline.export import CLOUDS, hand_out, hand_out_cloud  # likewise
 
-        if to == "e57":
+        if to in CLOUDS:
             self._needed("cloud.laz", "cloud")
-            return hand_out_e57(self.as_run(reporter), Path(folder))
+            return hand_out_cloud(self.as_run(reporter), Path(folder), to)
         return hand_out(self.as_run(reporter), Path(folder), to, camera)
 
     def rig_file(self, form: str = "rig") -> tuple[str, tuple[str, ...]]:

@@ -4,8 +4,10 @@ import errno
 import json
 import shutil
 import sqlite3
+import subprocess
 import sys
 import xml.etree.ElementTree as xml
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,6 +16,9 @@ import pye57
 import pyproj
 import pytest
 from PIL import Image
+from pyopf.io import load
+from pyopf.resolve import resolve
+from scipy.spatial.transform import Rotation
 
 import tiegraph
 from export_world import FRAMES, LENSES, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
@@ -23,7 +28,7 @@ from tiegraph.export import maps
 from tiegraph.export.exporters import in_thousandths
 from tiegraph.export.survey import unique_names
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.geometry.transforms import apply, invert
+from tiegraph.geometry.transforms import apply, invert, rigid
 from tiegraph.pipeline import export as glue
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scene.cloudchunks import open_cloud
@@ -240,13 +245,69 @@ def test_opensfm(world, request, tmp_path):
         at = next(p.xy for p in image.points2D if p.point3D_id == int(point))
         assert np.allclose((at - np.array(SIZE) / 2) / max(SIZE), [float(x), float(y)], atol=1e-6)
     # East, north, up about the place, by PROJ itself
-    import pyproj
-
     geodetic = pyproj.Transformer.from_crs(ORIGIN.crs, "EPSG:4979", always_xy=True).transform(*apply(back, said).T)
     about = f"+lon_0={place['longitude']!r} +lat_0={place['latitude']!r} +h_0={place['altitude']!r}"
     steps = ("+proj=unitconvert +xy_in=deg +xy_out=rad", "+proj=cart", f"+proj=topocentric {about}")
     level = pyproj.Transformer.from_pipeline("+proj=pipeline " + " ".join(f"+step {step}" for step in steps))
     assert np.abs(np.stack(level.transform(*geodetic), axis=-1) - said).max() < 0.01  # the CRS's scale: 4 in 10000
+
+
+@pytest.mark.slow
+def test_opf(made, tmp_path):
+    folder = exported(made, tmp_path, "opf")
+    command = [sys.executable, "-m", "opf_tools.opf2colmap", folder / "project.opf", "--out-dir", folder / "sparse"]
+    (folder / "sparse").mkdir()
+    subprocess.run(command, check=True, capture_output=True)  # Pix4D's own converter
+    _, cameras = check_started(made, folder, flat, model="sparse")
+    assert any(c.params[4] for c in cameras.values())  # one lens stays, the other has no square pixels
+    project = resolve(load(folder / "project.opf"))
+    (frame,) = project.scene_reference_frame_objs
+    assert pyproj.CRS(frame.crs.definition).to_epsg() == 32654 and not frame.base_to_canonical.swap_xy
+    assert (frame.base_to_canonical.shift + ORIGIN.shift_m == 0).all()
+    found, given = project.calibration.calibrated_cameras, project.input_cameras
+    assert len(given.captures) == 2 * FRAMES and {s.name for s in given.sensors} == {"cam0", "cam1"}
+    (relative,) = (s.rig_relatives for s in found.sensors if s.rig_relatives)
+    turn = Rotation.from_euler("XYZ", relative.rotation_angles_deg, degrees=True).as_matrix()
+    mount = matrix(made.model.rig(1).sensor_from_rig(made.model.camera(2).sensor_id))  # y down, as OPF's rigs
+    assert np.allclose(invert(rigid(turn, relative.translation)), mount, atol=1e-9)
+    by_id, uri = {c.id: c for c in found.cameras}, {c.id: c.uri for c in project.camera_list.cameras}
+    for capture in given.captures:
+        assert [flat("cam0") in uri[capture.reference_camera_id], len(capture.cameras)] == [True, 2]
+        index = made.scene.image_index[
+            next(n for n in made.scene.names if f"images/{flat(n)}" in uri[capture.cameras[0].id])
+        ]
+        assert capture.time.timestamp() == pytest.approx(made.scene.time_s[made.scene.frame[index]])
+        assert all(c.id in by_id for c in capture.cameras)
+    tracks = project.calibration.tracks.nodes[0]
+    xyz = apply(tracks.matrix, np.asarray(tracks.position, float)) @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    assert all(np.abs(made.points - at).max(axis=1).min() < 1e-5 for at in xyz)
+    assert tracks.matches.point_index_ranges.total_count() == len(tracks.matches.camera_ids) > 100
+    assert len(xyz) == len(tracks.color) and len(xyz) > 0.6 * made.model.num_points3D()
+
+
+@pytest.mark.slow
+def test_opf_of_worlds_without_a_crs_and_with_north_first(tmp_path):
+    for name, origin in (("free", None), ("japan", replace(ORIGIN, crs="EPSG:6677"))):
+        folder = tmp_path / name
+        finished(folder, origin=origin).project.export(folder / "opf", "opf")
+        (frame,) = resolve(load(folder / "opf" / "project.opf")).scene_reference_frame_objs
+        crs, swapped = pyproj.CRS(frame.crs.definition), frame.base_to_canonical.swap_xy
+        assert [a.direction for a in crs.axis_info][:2] == (["north", "east"] if swapped else ["east", "north"])
+        assert swapped == (name == "japan") and crs.is_engineering == (name == "free")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", ["made", "fisheye"])
+def test_metashape(world, request, tmp_path):
+    made = request.getfixturevalue(world)
+    folder = exported(made, tmp_path, "metashape")
+    start = read_start(folder / "cameras.xml")  # labels have no ending
+    full = {flat(n).rpartition(".")[0]: flat(n) for n in made.scene.names}
+    cameras = {full[n]: camera_found(c) for n, c in start.cameras.items()}
+    check_spots(made, folder, {full[n]: p for n, p in start.poses.items()}, cameras, flat)
+    assert {c.model_name for c in cameras.values()} == {"OPENCV" if world == "made" else "OPENCV_FISHEYE"}
+    source = made.project.folder / "images"
+    assert all((folder / "images" / flat(n)).read_bytes() == (source / n).read_bytes() for n in made.scene.names)
 
 
 @pytest.mark.parametrize("camera", ["", "cam1"])

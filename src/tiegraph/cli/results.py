@@ -77,7 +77,8 @@ class Export(Talk):
     to: Name = "dense"
     """For whom: dense = images, model, depth and normal maps for COLMAP's stereo_fusion and meshers; nerfstudio; colmap
     and openmvs = undistorted images and model; gsplat = the same for 3D Gaussian splatting (Inria's too); bundler;
-    opensfm; tum, kitti = trajectories; geojson, gpkg = cameras, views and tie graph for GIS; e57 = the cloud."""
+    opensfm; opf = Pix4D's open format; metashape; tum, kitti = trajectories; geojson, gpkg = cameras, views and tie
+    graph for GIS; e57, potree = the cloud; 3dtiles = cloud and mesh for CesiumJS."""
     camera: str = ""
     """tum, kitti: the camera whose trajectory it is (default: the rig's, which is its first camera)."""
 
@@ -85,7 +86,7 @@ class Export(Talk):
         count = open_project(None, self.out).export(self.folder, self.to, self.camera, self.reporter())
         if self.to == "dense":
             say(f"{count} depth maps: {self.folder} (colmap stereo_fusion --workspace_path {self.folder} ...)")
-        elif self.to == "e57":
+        elif self.to in ("e57", "3dtiles", "potree"):
             say(f"{count} points: {self.folder}")
         else:
             say(f"{count} for {self.to}: {self.folder}")

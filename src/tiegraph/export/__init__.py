@@ -13,14 +13,33 @@ somewhere; ``offset.json`` leads back. Axes and pixels: COLMAP's cameras look al
 middle at (0.5, 0.5). nerfstudio's and Bundler's look along -z with y up; OpenSfM's are COLMAP's, its world is east,
 north, up about a place.
 
+The cloud needs no such view: ``tiles3d`` writes its octree, and a mesh in levels of detail, as 3D Tiles.
+
 Read for this: nerfstudio's ``nerfstudio_dataparser.py``, ``depth_dataset.py`` and ``data_utils.py`` (1.1.5), gsplat's
-``examples/datasets/colmap.py``, Inria's ``dataset_readers.py``, OpenMVS's ``InterfaceCOLMAP.cpp``, OpenSfM's ``io.py``
-and COLMAP's ``ExportBundler``.
+``examples/datasets/colmap.py``, Inria's ``dataset_readers.py``, OpenMVS's ``InterfaceCOLMAP.cpp``, OpenSfM's ``io.py``,
+COLMAP's ``ExportBundler``, Pix4D's specification of OPF 1.0, Metashape's manual (appendix on camera models) and the
+3D Tiles specification 1.1.
 """
 
 from typing import Literal
 
 Name = Literal[
-    "dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson", "gpkg", "e57"
+    "dense",
+    "nerfstudio",
+    "colmap",
+    "gsplat",
+    "openmvs",
+    "bundler",
+    "opensfm",
+    "opf",
+    "metashape",
+    "tum",
+    "kitti",
+    "geojson",
+    "gpkg",
+    "e57",
+    "3dtiles",
+    "potree",
 ]
-"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` the cloud."""
+"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` and ``potree`` the
+cloud, ``3dtiles`` cloud and mesh."""

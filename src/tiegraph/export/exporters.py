@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as xml
 
 import numpy as np
 import pycolmap
@@ -20,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.export import maps
+from tiegraph.export.opf import opf
 from tiegraph.export.survey import Exporter, Survey, unique_names, write_json, write_offset
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, world_from_geodetic
@@ -40,9 +42,20 @@ _OFF_PX = 0.05  # a principal point this far from the middle, or an edge by uneq
 def opencv(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
     """Cameras that OPENCV or OPENCV_FISHEYE can say, all in one of the two: a file of nerfstudio has one model. Where
     both occur the fisheye lenses are left out."""
-    found = {key: own for key, camera in cameras.items() if (own := _opencv(camera)) is not None}
+    found = opencv_each(cameras)
     kinds = {camera.model_name for camera in found.values()}
     return {k: c for k, c in found.items() if len(kinds) == 1 and len(found) == len(cameras) or c.model_name != FISHEYE}
+
+
+def brown(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
+    """Cameras with square pixels that OPENCV can say."""
+    found = opencv_each(cameras)
+    return {key: own for key, own in found.items() if own.model_name == "OPENCV" and _uneven(own) < _OFF_PX}
+
+
+def opencv_each(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
+    """Cameras that OPENCV or OPENCV_FISHEYE can say, each by itself."""
+    return {key: own for key, camera in cameras.items() if (own := _opencv(camera)) is not None}
 
 
 def _opencv(camera: pycolmap.Camera) -> pycolmap.Camera | None:
@@ -74,8 +87,12 @@ def centred(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
 def _is_centred(camera: pycolmap.Camera) -> bool:
     size = np.array([camera.width, camera.height], float)
     off = np.array([camera.principal_point_x, camera.principal_point_y]) - size / 2
-    uneven = abs(camera.focal_length_x / camera.focal_length_y - 1) * size[1] / 2
-    return bool(max(*np.abs(off), uneven) < _OFF_PX)
+    return bool(max(*np.abs(off), _uneven(camera)) < _OFF_PX)
+
+
+def _uneven(camera: pycolmap.Camera) -> float:
+    """How far off (pixels) an edge is if its pixels are taken for square."""
+    return float(abs(camera.focal_length_x / camera.focal_length_y - 1) * camera.height / 2)
 
 
 _POINTS = "sparse_pc.ply"
@@ -248,6 +265,40 @@ def _shot(survey: Survey, image: pycolmap.Image) -> dict[str, Any]:
     return shot if np.isnan(time_s) else {**shot, "capture_time": float(time_s)}
 
 
+def metashape(survey: Survey, target: Path) -> int:
+    """``cameras.xml`` of one chunk in the coordinates of the folder, and the points; the number of cameras. Pixels
+    count from the middle of the image; p1 and p2 are exchanged against OpenCV."""
+    root = xml.Element("document", version="1.5.0")
+    chunk = xml.SubElement(root, "chunk", label="tiegraph", enabled="true")
+    sensors, cameras = xml.SubElement(chunk, "sensors"), xml.SubElement(chunk, "cameras")
+    images = survey.images()
+    for key in sorted({image.camera_id for image in images}):
+        camera = survey.model.camera(key)
+        fx, fy, cx, cy, *rest = (float(v) for v in camera.params)
+        kind, terms = (
+            ("fisheye", _TERMS[FISHEYE]) if camera.model_name == FISHEYE else ("frame", ("k1", "k2", "p2", "p1"))
+        )
+        size = {"width": str(camera.width), "height": str(camera.height)}
+        sensor = xml.SubElement(sensors, "sensor", id=str(key), label=f"camera {key}", type=kind)
+        xml.SubElement(sensor, "resolution", size)
+        adjusted = xml.SubElement(sensor, "calibration", {"type": kind, "class": "adjusted"})
+        xml.SubElement(adjusted, "resolution", size)
+        values = {"f": fy, "b1": fx - fy, "cx": cx - camera.width / 2, "cy": cy - camera.height / 2}
+        for name, value in {**values, **dict(zip(terms, rest))}.items():
+            xml.SubElement(adjusted, name).text = repr(value)
+    for number, image in enumerate(images):
+        said = {"id": str(number), "sensor_id": str(image.camera_id), "label": image.name.rpartition(".")[0]}
+        pose = invert(matrix(image.cam_from_world()))
+        xml.SubElement(xml.SubElement(cameras, "camera", said), "transform").text = " ".join(
+            map(repr, pose.ravel().tolist())
+        )
+    xml.indent(root)
+    xml.ElementTree(root).write(target / "cameras.xml", encoding="utf-8", xml_declaration=True)
+    survey.model.export_PLY(str(target / _POINTS))
+    write_offset(survey, target)
+    return len(images)
+
+
 def tum(survey: Survey, target: Path) -> int:
     """``<pass>.tum``; the number of poses."""
     said = [] if survey.unit == "m" else [FREE_UNIT]
@@ -316,6 +367,10 @@ EXPORTERS = {
     ),
     "bundler": Exporter(bundler, "meshlab: Import Bundler, {folder}/bundle.out", centred),
     "opensfm": Exporter(opensfm, "opensfm undistort {folder}", opencv),
+    "opf": Exporter(opf, "PIX4Dmatic or rerun_open_photogrammetry_format: {folder}/project.opf", brown),
+    "metashape": Exporter(
+        metashape, "Metashape: add {folder}/images, then Import Cameras, {folder}/cameras.xml", opencv_each
+    ),
     "tum": Exporter(tum, "evo_traj tum {folder}/*.tum"),
     "kitti": Exporter(kitti, "evo_traj kitti {folder}/*/poses.txt"),
     "geojson": Exporter(maps.geojson, "QGIS: drag {folder}/*.geojson into the map"),

@@ -387,6 +387,13 @@ def enu_axes(lat_deg: np.ndarray | float, lon_deg: np.ndarray | float) -> np.nda
     return np.stack([np.stack(row, axis=-1) for row in (east, north, up)], axis=-2)
 
 
+def ecef_from_enu(place: Origin) -> np.ndarray:
+    """(4, 4) from metres east, north and up about a place to ECEF coordinates on WGS84."""
+    zero, out = _ecef().transform(place.lat_deg, place.lon_deg, place.height_m), np.eye(4)
+    out[:3, :3], out[:3, 3] = enu_axes(place.lat_deg, place.lon_deg).T, zero
+    return out
+
+
 def geodetic_from_ecef(xyz_m: np.ndarray) -> np.ndarray:
     """Geodetic positions (N, 3): degrees, degrees, ellipsoidal metres, of ECEF coordinates (N, 3) on WGS84."""
     x, y, z = np.asarray(xyz_m, float).reshape(-1, 3).T

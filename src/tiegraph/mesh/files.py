@@ -4,18 +4,15 @@ In all of them coordinates are those of the world, for viewers work in single pr
 said beside them. glTF has y up: its node turns the vertices, which are stored as everywhere else.
 """
 
-import json
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.mesh.surface import Mesh
+from tiegraph.scene import gltf
 
 _AT_ONCE = 200_000  # lines of text made together
-_Y_UP = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]  # column by column: (x, y, z) becomes (x, z, -y)
-_FLOAT, _UINT, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963  # glTF's numbers for kinds of data
 _CLAMP = 33071
 
 
@@ -34,66 +31,24 @@ class Textured:
         return np.asarray(self.place / self.pages[self.texture][:, None])
 
 
-def glb(textured: Textured, pictures: Sequence[bytes], said: dict) -> bytes:
-    """A GLB file with its textures (JPEG); what is ``said`` stands in its ``extras``."""
-    blobs: list[bytes] = []
-    views: list[dict] = []
-    accessors: list[dict] = []
-
-    def view(data: bytes, **more: int) -> int:
-        offset = sum(len(b) for b in blobs)
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": len(data), **more})
-        blobs.append(data + bytes(-len(data) % 4))
-        return len(views) - 1
-
-    def accessor(values: np.ndarray, kind: str, number: int, target: int, **more: list) -> int:
-        where = view(values.tobytes(), target=target)
-        count = values.size if kind == "SCALAR" else len(values)
-        accessors.append({"bufferView": where, "componentType": number, "count": count, "type": kind, **more})
-        return len(accessors) - 1
-
-    shares, primitives = textured.shares(), []
+def glb(textured: Textured, pictures: Sequence[bytes], said: dict, middle: Sequence[float] = (0, 0, 0)) -> bytes:
+    """A GLB file with its textures (JPEG), which counts from a ``middle`` (3,); what is ``said`` stands in its
+    ``extras``."""
+    arrays, shares, primitives = gltf.Arrays(), textured.shares(), []
     for k in range(len(textured.pages)):
         xyz, uv, corners = _single(textured.mesh, shares, textured.texture == k)
-        if not len(corners):
-            continue
-        box = {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}
-        attributes = {
-            "POSITION": accessor(xyz, "VEC3", _FLOAT, _ARRAY, **box),
-            "TEXCOORD_0": accessor(uv, "VEC2", _FLOAT, _ARRAY),
-        }
-        indices = accessor(corners, "SCALAR", _UINT, _ELEMENTS)
-        primitives.append({"attributes": attributes, "indices": indices, "material": k})
-    images = [{"bufferView": view(p), "mimeType": "image/jpeg"} for p in pictures]
-    # Images have their light in them already, so the faces get none
-    looks = [
-        {"baseColorTexture": {"index": k}, "metallicFactor": 0.0, "roughnessFactor": 1.0} for k in range(len(images))
-    ]
-    materials = [
-        {"pbrMetallicRoughness": look, "doubleSided": True, "extensions": {"KHR_materials_unlit": {}}} for look in looks
-    ]
-    body = b"".join(blobs)
-    document = {
-        "asset": {"version": "2.0", "generator": "tiegraph", "extras": said},
-        "extensionsUsed": ["KHR_materials_unlit"],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "matrix": _Y_UP}],
-        "meshes": [{"primitives": primitives}],
-        "materials": materials,
-        "textures": [{"source": k, "sampler": 0} for k in range(len(pictures))],
+        if len(corners):
+            attributes = {"POSITION": arrays.places(xyz), "TEXCOORD_0": arrays.add(uv)}
+            indices = arrays.add(corners.ravel(), gltf.ELEMENTS)
+            primitives.append({"attributes": attributes, "indices": indices, "material": k})
+    images = [{"bufferView": arrays.view(p), "mimeType": "image/jpeg"} for p in pictures]
+    looks = {
+        "materials": [gltf.unlit(baseColorTexture={"index": k}) for k in range(len(images))],
+        "textures": [{"source": k, "sampler": 0} for k in range(len(images))],
         "images": images,
         "samplers": [{"wrapS": _CLAMP, "wrapT": _CLAMP}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(body)}],
     }
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(body))
-    return b"".join(
-        [head, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(body), b"BIN\0"), body]
-    )
+    return gltf.glb({**gltf.document(primitives, middle, extras=said), **looks}, arrays)
 
 
 def _single(mesh: Mesh, shares: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

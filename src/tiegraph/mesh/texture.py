@@ -26,6 +26,7 @@ from tiegraph.scene.sorting import Arrays
 
 PAD = 2
 """Pixels around a patch, so that viewers that interpolate and reduce find its own colours."""
+JPEG = (cv2.IMWRITE_JPEG_QUALITY, 92)
 _BARE = 4  # pixels along the edge of what an unseen face has, with its border
 _FULL = 0.9  # share of the textures that rectangles may fill
 _COARSER = 1.05  # how much coarser it is tried again where they do not fit
@@ -120,13 +121,13 @@ def _fitting(
     size: np.ndarray, pixel: np.ndarray, block: np.ndarray, edge: int, most: int
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Sizes (P, 2) of the patches with which they and a block (0 or 1, 2) fit on the textures, and where all are
-    (``_pack``)."""
+    (``pack``)."""
     texel = _texel(size, pixel, _FULL * most * edge**2)
     while True:
         scale = np.minimum(1.0, pixel / texel if texel else 1.0)
         scale = np.minimum(scale, (edge - 2 * PAD) / size.max(axis=1, initial=1))
         inner = np.maximum(np.floor(size * scale[:, None] + 1e-9), 1).astype(int)
-        packed = _pack(np.concatenate([inner + 2 * PAD, block]), edge)
+        packed = pack(np.concatenate([inner + 2 * PAD, block]), edge)
         if len(packed[2]) <= most:
             return inner, packed
         if inner.max(initial=1) == 1:
@@ -152,7 +153,7 @@ def _texel(size: np.ndarray, pixel: np.ndarray, area: float) -> float:
     return high
 
 
-def _pack(size: np.ndarray, edge: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pack(size: np.ndarray, edge: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rectangles (P, 2) put on shelves, the highest first: the texture (P,) and the place (P, 2) of each, and the sizes
     (T, 2) of the textures."""
     area = float(np.prod(size, axis=1).sum())

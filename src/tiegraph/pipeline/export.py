@@ -4,7 +4,7 @@ and the cloud."""
 import io
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -17,9 +17,12 @@ from tiegraph.dense.undistort import centred_pinhole, view_through
 from tiegraph.errors import InputError, TiegraphError, choose
 from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
 from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
+from tiegraph.export.tiles3d import FILE as TREE
+from tiegraph.export.tiles3d import Place, write_points
 from tiegraph.limits import explained
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.files import (
+    CLOUD,
     FINAL,
     checked,
     load_map,
@@ -34,6 +37,8 @@ from tiegraph.pipeline.files import (
     world_origin,
     world_unit,
 )
+from tiegraph.pipeline.mesh import FOLDER as MESH
+from tiegraph.pipeline.meshtiles import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
@@ -41,6 +46,7 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudchunks import write_e57
 from tiegraph.scene.cloudfile import las_cloud
 from tiegraph.scene.composed import with_cameras
+from tiegraph.scene.copc import Node, copc_middle, copc_nodes
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
 
@@ -88,22 +94,70 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     return count
 
 
-def hand_out_e57(run: Run, target: Path) -> int:
-    """Write the cloud as ``cloud.e57`` into the folder ``target``, whole or not at all; how many points it has.
+def hand_out_cloud(run: Run, target: Path, name: str) -> int:
+    """Write the cloud into the folder ``target`` in a form of ``CLOUDS``, whole or not at all; how many points it has.
 
-    Raises EngineMissing without pye57, InputError for a folder that holds something and a full disk.
+    Raises EngineMissing without the form's library, InputError for a folder that holds something and a full disk.
     """
     must_be_empty(target)
-    path, origin = run.path("cloud.laz"), world_origin(run.folder)
-    with replacing(target.absolute()) as made:
-        made.mkdir()
-        with reading(path), laspy.open(path) as reader:
-            parts = (las_cloud(p, reader.header, origin) for p in reader.chunk_iterator(_SCAN))
-            count = write_e57(parts, made / "cloud.e57")
-        said = {"crs": None if origin is None else origin.crs, "unit": world_unit(run.folder)}
-        write_atomic(made / OFFSET, json.dumps({**said, "crs_from_local": np.eye(4).tolist()}))
-    run.reporter.say(f"opened by: CloudCompare, {target / 'cloud.e57'}")
+    try:
+        with replacing(target.absolute()) as made:
+            made.mkdir()
+            count, opened = CLOUDS[name](run, made)
+    finally:
+        run.close()
+    run.reporter.say(f"opened by: {opened.format(folder=target)}")
     return count
+
+
+def _e57(run: Run, made: Path) -> tuple[int, str]:
+    path, origin = run.path("cloud.laz"), world_origin(run.folder)
+    with reading(path), laspy.open(path) as reader:
+        parts = (las_cloud(p, reader.header, origin) for p in reader.chunk_iterator(_SCAN))
+        count = write_e57(parts, made / "cloud.e57")
+    _say_crs(run, made)
+    return count, "CloudCompare, {folder}/cloud.e57"
+
+
+def _potree(run: Run, made: Path) -> tuple[int, str]:
+    with reading(run.path(CLOUD)), laspy.open(run.path(CLOUD)) as reader:
+        count = reader.header.point_count
+    _copy(run.path(CLOUD), made / CLOUD)
+    _say_crs(run, made)
+    return count, "Potree (1.8 or later): Potree.loadPointCloud('{folder}/cloud.copc.laz', 'cloud', ...)"
+
+
+def _say_crs(run: Run, made: Path) -> None:
+    """Beside coordinates that are those of the CRS already."""
+    origin = world_origin(run.folder)
+    said = {"crs": None if origin is None else origin.crs, "unit": world_unit(run.folder)}
+    write_atomic(made / OFFSET, json.dumps({**said, "crs_from_local": np.eye(4).tolist()}))
+
+
+def _tiles(run: Run, made: Path) -> tuple[int, str]:
+    """The cloud as a tree of tiles, and beside it the mesh, if there is one."""
+    path, origin = run.path(CLOUD), world_origin(run.folder)
+    with reading(path):
+        place = Place.about(copc_middle(path, origin), origin)
+
+    def nodes() -> Iterator[Node]:
+        with reading(path):
+            yield from copc_nodes(path, origin)
+
+    count = write_points(nodes(), place, made / "cloud")
+    there = [made / "cloud"]
+    if run.path(MESH, "mesh.glb").exists():
+        write_mesh_tiles(run, place, made / MESH)
+        there.append(made / MESH)
+    files = ", ".join(f"{{folder}}/{folder.name}/{TREE}" for folder in there)
+    lost = (
+        "" if origin is not None else " (the world is not on the Earth: the tiles are in its own axes, without a place)"
+    )
+    return count, f"CesiumJS, Cesium3DTileset.fromUrl of {files}{lost}"
+
+
+CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
+"""What is written of the cloud, by name: the number of its points, and how to open it ({folder} = where it is)."""
 
 
 def _survey(run: Run) -> Survey:

@@ -17,6 +17,7 @@ from tiegraph.mesh.files import Textured, glb, mtl, obj
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
 from tiegraph.mesh.texture import (
+    JPEG,
     PAD,
     Layout,
     Nodes,
@@ -44,7 +45,6 @@ from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.copc import copc_sample
 
 FOLDER, SCRATCH = "mesh", ".work"
-_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92]
 _READ = 3 * MOST_POINTS  # points that are read of the cloud, and then thinned
 _BYTES = 200  # of a point in the files of COLMAP's surface
 
@@ -190,7 +190,7 @@ class _Work:
         blocks = bare_blocks(levels["rgb"][whole.corners[bare]])
         for (x, y), block in zip(layout.bare_at[layout.bare_page == page] - 1, blocks):
             out[y : y + 4, x : x + 4] = block
-        write_atomic(self.texture(page), cv2.imencode(".jpg", out[..., ::-1], _JPEG)[1].tobytes())
+        write_atomic(self.texture(page), cv2.imencode(".jpg", out[..., ::-1], JPEG)[1].tobytes())
 
     def _charts(self, layout: Layout, page: int) -> Iterator[tuple[int, np.ndarray]]:
         """(number, rectangle) of the patches on a texture."""

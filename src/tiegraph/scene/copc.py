@@ -189,3 +189,35 @@ def copc_sample(path: Path, origin: Origin | None, most: int) -> Cloud:
         step = max(1, reader.header.point_count // most)
         parts = [p[:: min(step, len(p))] for p in reader.chunk_iterator(1_000_000)]
         return Cloud.concatenate([las_cloud(p, reader.header, origin) for p in parts]) if parts else Cloud.empty(origin)
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A node of a COPC file: level, x, y, z (``key``), the ``spacing`` of its points in units of the world, and these,
+    which its parents do not have."""
+
+    key: tuple[int, int, int, int]
+    spacing: float
+    cloud: Cloud
+
+
+def copc_nodes(path: Path, origin: Origin | None) -> Iterator[Node]:
+    """The nodes of a COPC file that ``write_copc`` wrote, coarse ones first, in a world about ``origin``; memory is
+    that of one node. Raises ValueError where nodes are missing."""
+    with laspy.CopcReader.open(path) as reader:
+        spacing = reader.copc_info.spacing
+        entries = sorted(reader.root_page.entries.values(), key=lambda entry: entry.offset)
+    with laspy.open(path) as reader:
+        named, count = sum(entry.point_count for entry in entries), reader.header.point_count
+        if named != count:
+            raise ValueError(f"its octree names {named} of {count} points")
+        for entry in entries:
+            level, *place = (int(getattr(entry.key, name)) for name in ("level", "x", "y", "z"))
+            cloud = las_cloud(reader.read_points(entry.point_count), reader.header, origin)
+            yield Node((level, *place), spacing / 2**level, cloud)  # type: ignore[arg-type]
+
+
+def copc_middle(path: Path, origin: Origin | None) -> np.ndarray:
+    """(3,) the middle of a COPC file's points in a world about ``origin``."""
+    with laspy.open(path) as reader:
+        return (np.asarray(reader.header.mins) + reader.header.maxs) / 2 - shift_of(origin)
