@@ -20,7 +20,7 @@ and COLMAP's ``ExportBundler``.
 
 from typing import Literal
 
-Name = Literal[
-    "dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson", "gpkg", "e57"
-]
-"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` the cloud."""
+Name = Literal["dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "tum", "kitti", "geojson",
+               "gpkg", "e57", "results"]  # fmt: skip
+"""What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` the cloud, ``results`` the files that a
+run is made for, as they are."""
