@@ -66,7 +66,7 @@ def fetch(url: str, target: Path, reporter: Reporter) -> None:
     named = {_name(path, root): (path, info) for path, info in listed.items() if _is_file(path, info)}
     if not named:
         raise InputError(f"{url}: nothing lies there, or nothing that may be listed: is it written correctly?")
-    copy = _Copy(store, target, named, _read(target.parent / _LIST))
+    copy = _Copy(store=store, target=target, named=named, known=_read(target.parent / _LIST))
     new = [name for name, (_, info) in named.items() if not copy.has(name, _state(info))]
     size = sum(named[name][1].get("size") or 0 for name in new)
     target.parent.mkdir(parents=True, exist_ok=True)
