@@ -1,6 +1,7 @@
 """Plug-ins: methods of other packages, which they offer as entry points of the groups ``tiegraph.masks`` (a
-``MaskSource``), ``tiegraph.pairs`` (a pair source), ``tiegraph.features`` (an ``Extractor``) and ``tiegraph.dense`` (a
-``DenseEngine``). A setting that chooses such a method takes their names beside its own. Package and version of
+``MaskSource``), ``tiegraph.pairs`` (a pair source), ``tiegraph.features`` (an ``Extractor``), ``tiegraph.dense`` (a
+``DenseEngine``) and ``tiegraph.products`` (a function that writes files of a surface into a folder).
+A setting that chooses such a method takes their names beside its own. Package and version of
 what is chosen belong to the keys of the stages that use it: another version makes them run again.
 """
 
@@ -35,22 +36,22 @@ def chosen(group: str, name: str, own: dict[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class OrPlugin(AfterValidator):
-    """The mark of a setting that takes a name of ``own``, a Literal, or that of a plug-in of the group."""
+    """The mark of a setting that takes a name of ``own``, a Literal or None, or that of a plug-in of the group."""
 
     group: str
     own: Any
 
 
 def or_plugin(group: str, own: Any) -> OrPlugin:
-    """Validator of a setting ``Annotated[own | str, or_plugin(group, own)]``; ``own``: Literal of tiegraph's names."""
+    """Validator of a setting ``Annotated[own | str, or_plugin(group, own)]``; ``own``: Literal of tiegraph's names, or
+    None."""
 
     def check(name: str) -> str:
         if name in get_args(own) or name in (there := installed(group)):
             return name
         plugins = f"installed plug-ins: {', '.join(sorted(there))}" if there else "no plug-in is installed"
-        raise ValueError(
-            f"valid are {', '.join(get_args(own))}; {plugins} (entry points of the group tiegraph.{group})"
-        )
+        names = f"valid are {', '.join(get_args(own))}; " if own else ""
+        raise ValueError(f"{names}{plugins} (entry points of the group tiegraph.{group})")
 
     return OrPlugin(func=check, group=group, own=own)
 
