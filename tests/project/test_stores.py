@@ -19,6 +19,7 @@ import pytest
 import tiegraph
 from tiegraph.cli.main import main
 from tiegraph.errors import EngineMissing, InputError
+from tiegraph.pipeline.export import to_store
 from tiegraph.project import stores
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stores import fetch, not_fetched, place_of, send, url_of
@@ -188,6 +189,16 @@ def test_results_go_to_an_empty_place_only(memory: Any, tmp_path: Path) -> None:
     assert memory.cat("/bucket/results/1/report.html") == b"report.html"
 
 
+def test_any_export_goes_to_a_store(memory: Any) -> None:
+    def write(made: Path) -> int:
+        (made / "sparse").mkdir(parents=True)
+        (made / "sparse" / "cameras.txt").write_text("cameras")
+        return 3
+
+    assert to_store("memory://bucket/colmap", write, SimpleNamespace(reporter=QUIET)) == 3
+    assert memory.cat("/bucket/colmap/sparse/cameras.txt") == b"cameras" and len(memory.find("/bucket")) == 1
+
+
 class Listed(SimpleHTTPRequestHandler):
     """A web server with lists of its folders that says nothing of what it does."""
 
@@ -267,6 +278,9 @@ def test_a_survey_in_s3(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert tiegraph.open(out=out).export(tmp_path / "results", "results") == 3
     assert set(files(tmp_path / "results")) == names
     assert main(["export", str(out), "s3://bucket/results", "--to", "results"]) == 2
+    assert main(["export", str(out), "s3://no-such-bucket/results", "--to", "results"]) == 2
+    assert "not empty" in (said := capfd.readouterr().err) and "no such bucket" in said
+    assert not bucket.exists("no-such-bucket")
     assert len(bucket.find("bucket/survey")) == count - 1  # nothing of the survey was touched
 
     capfd.readouterr()
