@@ -64,7 +64,7 @@ def packages(section: BaseModel) -> dict[str, dict[str, str]]:
         for mark in _marks(field):
             others = {*(value if isinstance(value, tuple) else (value,))} - {*get_args(mark.own)}
             if others:
-                points = [point for name, point in sorted(installed(mark.group).items()) if name in others]
+                points = [point for one, point in sorted(installed(mark.group).items()) if one in others]
                 found[name] = {p.dist.name: p.dist.version for p in points if p.dist is not None}
     return found
 

@@ -3,7 +3,8 @@
 A run works on files of its own machines. So what lies below a URL is copied into a folder beside the run folder, and a
 later run copies what has changed since by size, ETag or time. ``fetched.jsonl`` beside the copy says line by line which
 state of an object each file is, so that a killed run goes on where it was. The copy is ours, what is in the store is
-not: nothing there is removed or written over. Results go to a place that is empty.
+not: nothing there is removed or written over. Results go to a place that is empty. fsspec's thread stays, so helpers
+of such a run are spawned and not forked (``tiegraph.forking``).
 """
 
 import json
@@ -113,13 +114,10 @@ def send(url: str, folder: Path, names: Sequence[str], reporter: Reporter) -> No
             there = []
     if there:
         raise InputError(f"{url} is not empty ({some(map(str, there), _SHOWN)}): give a new place in the store")
-    sent = 0
-    with _worded(url, f"; remove what is there or give another place, then export again: {len(names)} files"):
-        with reporter.stage("send"):
-            reporter.total(len(names))
-            for _ in _together(lambda name: store.put_file(str(folder / name), f"{root}/{name}"), names):
-                sent += 1
-                reporter.advance()
+    with _worded(url, "; what was sent is there: remove it, or give another place"), reporter.stage("send"):
+        reporter.total(len(names))
+        for _ in _together(lambda name: store.put_file(str(folder / name), f"{root}/{name}"), names):
+            reporter.advance()
 
 
 # --- inside ---------------------------------------------------------------------------------------------------------
