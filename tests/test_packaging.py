@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.version import Version
 
 from tiegraph.cli import begin
@@ -39,6 +40,27 @@ def test_the_lowest_versions_are_those_of_the_project():
     for needed in NEEDED:
         version = lowest[needed.name].removesuffix(".*")
         assert f">={version}" in str(needed.specifier) and needed.specifier.contains(version)
+
+
+def test_the_conda_recipe_is_that_of_the_project():
+    recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
+    project, about = PROJECT["project"], recipe["about"]
+    assert recipe["package"]["name"] == project["name"] and recipe["context"]["version"] == project["version"]
+    assert (about["summary"], about["license"]) == (project["description"], project["license"])
+    names = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+    asked = {names.get(r.name, r.name): (r.specifier, r.marker) for r in _ALL}
+    asked |= {f"{extra}-python": ("", None) for r in _ALL for extra in r.extras}
+    asked["python"] = (project["requires-python"], None)
+    there = {}
+    for line in recipe["requirements"]["run"]:
+        text, only = (line["then"], line["if"]) if isinstance(line, dict) else (line, None)
+        name, _, bounds = text.partition(" ")
+        there[name] = SpecifierSet(bounds), only
+    assert {n: s for n, (s, _) in there.items()} == {n: SpecifierSet(str(s)) for n, (s, _) in asked.items()}
+    assert [n for n, (_, only) in there.items() if only] == [n for n, (_, marker) in asked.items() if marker]
+    built = {(r := Requirement(line)).name: r.specifier for line in PROJECT["build-system"]["requires"]}
+    host = dict(line.split(" ") for line in recipe["requirements"]["host"] if " " in line)
+    assert {n: SpecifierSet(b) for n, b in host.items()} == built
 
 
 @pytest.mark.parametrize("path", [".github/workflows/ci.yml", ".github/workflows/wheels.yml", ".gitlab-ci.yml"])

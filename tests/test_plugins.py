@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -45,6 +46,29 @@ def test_the_example_plugin_masks_the_images(tmp_path: Path, monkeypatch: pytest
     project.run(until="masks")
     masks = [read_mask(project.folder, name) for name in project.scene().names]
     assert len(masks) == 4 and all(m[:113].all() and not m[113:].any() for m in masks)
+
+
+def test_another_version_of_a_plugin_makes_the_stage_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    survey = make_survey(tmp_path / "images", passes=("up",), frames=1, size=(64, 48))
+    install(tmp_path, {"tiegraph.masks": {"caption": "tiegraph_caption:SOURCE"}})
+    for folder in (tmp_path, EXAMPLE):
+        monkeypatch.syspath_prepend(folder)
+    metadata = tmp_path / "tiegraph_caption-0.1.0.dist-info" / "METADATA"
+
+    def states(source: str) -> list[str]:
+        project = tiegraph.open(survey.images, tmp_path / source, settings={"masks": {"source": source}}, pool="serial")
+        before = [why for name, why, _ in project.status() if name in ("scan", "masks", "preview")]
+        assert project.run(until="preview").receipt("masks")["software"].get("tiegraph-caption") == (
+            re.search("Version: (.*)", metadata.read_text().partition("Name")[2])[1] if source == "caption" else None
+        )
+        return before
+
+    assert states("caption") == states("none") == ["not run yet"] * 3
+    metadata.write_text(metadata.read_text().replace("0.1.0", "0.2.0"))
+    assert states("none") == states("caption")[:1] * 3 == [""] * 3
+    metadata.write_text(metadata.read_text().replace("0.2.0", "0.3.0"))
+    assert states("caption") == ["", "changed: the plug-in of masks.source", "masks is out of date"]
+    assert states("caption") == [""] * 3
 
 
 def test_plugins_that_cannot_be_used_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

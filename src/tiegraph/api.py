@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run, check_run, let_go, run_stages, status, without_inputs
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage, needed
+from tiegraph.project.stores import fetch, place_of, url_of
 from tiegraph.scene.atomic import names_file, real_path
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import read_model, registration
@@ -35,8 +36,17 @@ _PATHS = ("gnss", "trajectory", "start", "times")
 class Project:
     """A survey and its run folder. Results are read from the folder; asking for one does not run anything."""
 
-    def __init__(self, folder: Path, inputs: Inputs, settings: Settings, preset: str = "default", pool: str = "local"):
+    def __init__(
+        self,
+        folder: Path,
+        inputs: Inputs,
+        settings: Settings,
+        preset: str = "default",
+        pool: str = "local",
+        stores: Mapping[str, Path] | None = None,  # of the inputs: URLs and the places of their copies
+    ):
         self.folder = folder
+        self._stores = dict(stores or {})
         self.inputs = inputs
         self.settings = settings
         self.preset = preset
@@ -51,6 +61,13 @@ class Project:
         self._run(table(until), until, reporter)
         return self
 
+    def fetch(self, reporter: Reporter | None = None) -> None:
+        """Copy inputs that were given as URLs, or what has changed of them, beside the run folder; ``run`` does it
+        itself. Raises InputError and EngineMissing."""
+        for url in list(self._stores):
+            fetch(url, self._stores[url], reporter or Reporter("quiet"))
+            del self._stores[url]
+
     def doubtful(self, until: str | None = None) -> bool:
         """Whether anything contradicts anything, or nothing came of a stage, up to and including one."""
         return any(self.receipt(s.name).get("contradictions") for s in needed(table(until), until))
@@ -62,6 +79,7 @@ class Project:
     def _run(self, stages: tuple[Stage, ...], until: str | None, reporter: Reporter | None) -> None:
         run = self.as_run(reporter)
         check_run(stages, run)
+        self.fetch(reporter)
         if not without_inputs(stages, run, until):
             check_given(stages, run)
         run_stages(stages, run, until, self.save)
@@ -76,6 +94,7 @@ class Project:
         """What a run will need of disk and CPU time; None for videos and bags. Nothing is written."""
         from tiegraph.pipeline.plan import forecast  # loads the engines
 
+        self.fetch()
         return forecast(self.as_run())
 
     def status(self) -> list[tuple[str, str, dict]]:
@@ -172,18 +191,24 @@ class Project:
         return glue.judged(block, name, STAGES, [n for n in notes if n])
 
     def export(self, folder: str | Path, to: str = "dense", camera: str = "", reporter: Reporter | None = None) -> int:
-        """Write a folder for another program; how many images, poses, cameras or points it has. ``to``:
-        ``dense``, the depth maps as a dense workspace of COLMAP, or a name of `tiegraph export --to`; ``camera``: whose
-        trajectory tum and kitti are of (default: the rig's). Raises InputError for what is not there yet, a world that
-        is not on the Earth (geojson, gpkg) and a folder that holds something, SettingsError for a name that is none."""
+        """Write a folder for another program, here or at a URL; how many images, poses, cameras, points or (results)
+        files it has. ``to``: ``dense``, the depth maps as a dense workspace of COLMAP, or a name of `tiegraph export
+        --to`; ``camera``: whose trajectory tum and kitti are of (default: the rig's). Raises InputError for what is
+        not there yet, a world that is not on the Earth (geojson, gpkg) and a folder that holds something,
+        SettingsError for a name that is none, EngineMissing without the package for a store."""
+        from tiegraph.pipeline.export import CLOUDS, hand_out, hand_out_cloud, hand_out_results, to_store  # engines
+
+        if to == "results":
+            self._needed("report.html", "report")
+            return hand_out_results(self.as_run(reporter), folder)
+        if url := url_of(folder):
+            return to_store(url, lambda made: self.export(made, to, camera), self.as_run(reporter))
         if to == "dense":
             self._needed("depth", "dense")
-            from tiegraph.pipeline.dense import hand_over  # loads the dense engine
+            from tiegraph.pipeline.dense import hand_over
 
             return hand_over(self.as_run(), Path(folder))
         self._needed("sparse/world", "georef")
-        from tiegraph.pipeline.export import CLOUDS, hand_out, hand_out_cloud  # likewise
-
         if to in CLOUDS:
             self._needed("cloud.laz", "cloud")
             return hand_out_cloud(self.as_run(reporter), Path(folder), to)
@@ -286,9 +311,10 @@ def open_project(
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
     ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, start, times, gcp, marks, tolerance (m).
+    Images and inputs may be URLs of a store (``s3://bucket/survey``): ``Project.fetch`` copies them beside ``out``.
     ``settings``: {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings.
     ``unset``: inputs and settings ("gnss", "masks.folder") that ``out``/tiegraph.toml no longer holds. ``out`` defaults
-    to ``<images>_tiegraph``.
+    to ``<images>_tiegraph``, for a URL in the present folder.
     Raises InputError and SettingsError.
     """
     known = (*_NAMED, *_PATHS, *SETTING_OF)
@@ -296,8 +322,10 @@ def open_project(
     if unknown:
         raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are {', '.join(known)}")
     _check_texts({"images": images, "out": out, **inputs})
-    beside = {n: value for n in SETTING_OF if (value := inputs.pop(n, None)) is not None}
     folder = _folder(images, out)
+    stores = {url: place_of(url, folder.parent) for given in (images, *inputs.values()) if (url := url_of(given))}
+    images, inputs = stores.get(url_of(images), images), {n: stores.get(url_of(v), v) for n, v in inputs.items()}
+    beside = {n: value for n in SETTING_OF if (value := inputs.pop(n, None)) is not None}
     check_format(folder)
     stored = project_settings.without(project_settings.read_file(folder / SETTINGS), unset)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
@@ -324,7 +352,8 @@ def open_project(
     if run.get("trajectory") == str(FOLLOW):
         paths["trajectory"] = FOLLOW
     _check_texts({"images": found, **paths})
-    return Project(folder, Inputs(found, run.get("rig"), camera=run.get("camera"), **paths), complete, name, pool)
+    given = Inputs(found, run.get("rig"), camera=run.get("camera"), **paths)
+    return Project(folder, given, complete, name, pool, stores)
 
 
 def _check_texts(given: dict[str, Any]) -> None:
@@ -340,10 +369,17 @@ def _read_pairs(path: Path) -> Pairs:
 
 
 def _folder(images: str | Path | None, out: str | Path | None) -> Path:
+    if out is not None and (url := url_of(out)):
+        raise InputError(
+            f"-o {url}: a run works in a folder of this machine; `tiegraph export OUT {url} --to results` then copies "
+            "its results there"
+        )
     if out is not None:
         return Path(out).absolute()
     if images is None:
         raise InputError("give the folder of the images, or a run folder by out=")
+    if url := url_of(images):
+        return Path(f"{place_of(url, Path()).name}_tiegraph").absolute()
     path = source_of(real_path(images))
     return path.with_name(path.name + "_tiegraph")
 

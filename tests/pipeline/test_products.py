@@ -3,13 +3,16 @@
 import csv
 import json
 import shutil
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 
 import tiegraph
-from tiegraph.errors import ReconstructionError
+from test_plugins import install
+from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.pipeline import products as glue
 from tiegraph.pipeline.files import world_origin
 from tiegraph.products.ortho import draw, ortho_tile
@@ -17,6 +20,11 @@ from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import merged
 from tiegraph.scene.copc import copc_box
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 pytestmark = pytest.mark.slow
 
@@ -141,3 +149,27 @@ def test_finished_tiles_stay_when_a_later_one_fails(made, tmp_path, monkeypatch)
 def test_a_plane_without_points_says_so(made, tmp_path):
     with pytest.raises(ReconstructionError, match="no points of the cloud lie within"):
         glue.products(run_of(made, plane=(0.0, 0.0, 10.0, 0.0)))
+
+
+def test_a_plugin_makes_a_product_of_each_surface(made, tmp_path, monkeypatch):
+    example = Path(__file__).parents[2] / "examples" / "plugin"
+    groups = tomllib.loads((example / "pyproject.toml").read_text())["project"]["entry-points"]
+    install(tmp_path, groups)
+    for folder in (tmp_path, example):
+        monkeypatch.syspath_prepend(folder)
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    assert not list(folder.rglob("slope"))
+    tiegraph.open(out=folder, pool="serial", settings={"products": {"extra": ["slope"]}}).run("products")
+    surfaces = [p for p in (folder / "products").iterdir() if p.is_dir()]
+    listed = json.loads((folder / "receipts" / "files" / "products.json").read_text())
+    for surface in surfaces:
+        with rasterio.open(surface / "slope" / "slope.tif") as raster, rasterio.open(surface / "dsm.tif") as heights:
+            slope, known = raster.read(1), heights.read_masks(1) > 0
+            assert raster.transform == heights.transform and raster.crs == heights.crs
+        inner = known[1:-1, 1:-1] & known[:-2, 1:-1] & known[2:, 1:-1] & known[1:-1, :-2] & known[1:-1, 2:]
+        assert inner.any() and ((slope[1:-1, 1:-1] >= 0) == inner).all() and slope.max() < 90
+        assert f"products/{surface.name}/slope/slope.tif" in listed
+    assert json.loads((folder / "receipts" / "products.json").read_text())["software"]["tiegraph-caption"] == "0.1.0"
+    with pytest.raises(SettingsError, match="products.extra.*installed plug-ins: slope"):
+        merged({"products": {"extra": ["slopes"]}})

@@ -48,6 +48,8 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "ONNX Runtime", _optional("onnxruntime", "onnx", "--masks.source model")
     yield "PROJ grids", _grids()
     yield "dask", _optional("distributed", "dask", "--pool dask:<address>")
+    yield "dask-jobqueue", _optional("dask-jobqueue", "slurm", "--pool slurm:<jobs>")
+    yield "s3fs", _optional("s3fs", "stores", "URLs of object stores: s3, gs, https")
     yield "rosbags", _optional("rosbags", "ros", "bags of ROS")
     yield "pi-heif", _optional("pi-heif", "heif", "HEIC images")
     yield "rawpy", _optional("rawpy", "raw", "DNG and other raw files of cameras")

@@ -16,6 +16,7 @@ from tiegraph.export import Name
 from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
+from tiegraph.project.stores import url_of
 from tiegraph.scene.atomic import must_be_new
 
 _SHOWN = 10  # changes; the others stand in changes.csv
@@ -73,23 +74,25 @@ class Export(Talk):
     out: tyro.conf.Positional[Path]
     """A run folder with a model in the world (dense: with depth maps)."""
     folder: tyro.conf.Positional[Path]
-    """The folder to make; it must not exist or be empty."""
+    """The folder to make, or the URL of a place in a store (s3://bucket/results); it must not exist or be empty."""
     to: Name = "dense"
     """For whom: dense = images, model, depth and normal maps for COLMAP's stereo_fusion and meshers; nerfstudio; colmap
     and openmvs = undistorted images and model; gsplat = the same for 3D Gaussian splatting (Inria's too); bundler;
     opensfm; opf = Pix4D's open format; metashape; tum, kitti = trajectories; geojson, gpkg = cameras, views and tie
-    graph for GIS; e57, potree = the cloud; 3dtiles = cloud and mesh for CesiumJS."""
+    graph for GIS; e57, potree = the cloud; 3dtiles = cloud and mesh for CesiumJS; results = report, cloud,
+    maps and figures as they are."""
     camera: str = ""
     """tum, kitti: the camera whose trajectory it is (default: the rig's, which is its first camera)."""
 
     def run(self) -> int:
         count = open_project(None, self.out).export(self.folder, self.to, self.camera, self.reporter())
+        place = url_of(self.folder) or self.folder
         if self.to == "dense":
-            say(f"{count} depth maps: {self.folder} (colmap stereo_fusion --workspace_path {self.folder} ...)")
-        elif self.to in ("e57", "3dtiles", "potree"):
-            say(f"{count} points: {self.folder}")
+            say(f"{count} depth maps: {place} (colmap stereo_fusion --workspace_path {place} ...)")
+        elif self.to in ("e57", "3dtiles", "potree", "results"):
+            say(f"{count} {'files' if self.to == 'results' else 'points'}: {place}")
         else:
-            say(f"{count} for {self.to}: {self.folder}")
+            say(f"{count} for {self.to}: {place}")
         return 0
 
 

@@ -33,7 +33,7 @@ class Common(Talk):
     """Options of every verb that runs stages."""
 
     pool: str = "local"
-    """Where items run: serial, local, local:<workers> or dask:<address>."""
+    """Where items run: serial, local, local:<workers>, dask:<address> or slurm:<jobs>."""
     unset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """An input or setting of tiegraph.toml that no longer holds, such as gnss or masks.folder; once for each."""
     strict: bool = False
@@ -45,7 +45,7 @@ class Survey(Common):
     """Options of every verb that begins with images."""
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The run folder (default: <IMAGES>_tiegraph beside the images)."""
+    """The run folder (default: <IMAGES>_tiegraph beside the images; of a URL in the present folder)."""
     rig: str | None = None
     """A rig.toml, a COLMAP rig_config.json, the folder of another run (its rig as found), or ladybug5, ring:N, stereo,
     single, panorama (default: guessed)."""
@@ -92,7 +92,8 @@ class RunOptions(Survey):
 
 
 _IMAGES = """The folder that holds the images, in any of the layouts the README names, videos or ROS bags; or a bag, or
-some of its topics, BAG:TOPIC,TOPIC."""
+some of its topics, BAG:TOPIC,TOPIC. Of this and every input a URL of a store, such as s3://BUCKET/SURVEY, can be given:
+what lies there is copied to tiegraph_cache/ beside the run folder."""
 _RUN = """From a folder of images to the cloud and the report.
 
 A second run continues: what is up to date is skipped, finished items of an interrupted stage stay."""
@@ -107,6 +108,7 @@ def main(arguments: list[str]) -> int:
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
     project = open_project(images, options.out, settings=given, **how, **inputs)
     if options.plan:
+        project.fetch(options.reporter())
         return _forecast(project, options.reporter())
     code = finish(project, options.until, options)
     if options.keep == "results" and (freed := project.let_go()):

@@ -16,7 +16,7 @@ usage: tiegraph run IMAGES [-o OUT] [OPTIONS]
 From a folder of images to the cloud and the report. Run again, it goes on.
 
 inputs:
-  IMAGES            the folder of the images, videos or ROS bags; BAG:TOPIC,...
+  IMAGES            folder of images, videos, ROS bags (BAG:TOPIC,...); or a URL
   --rig RIG         rig.toml, rig_config.json, OUT of another run, ring:N, ...
   --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
   --gnss FILE       CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK, a ROS bag
@@ -31,7 +31,7 @@ options:
   --until STAGE     the last stage to run; --plan: say what room, time it needs
   --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
   --unset KEY       forget a stored input or setting; --keep results: no depths
-  --pool POOL       serial, local, local:<workers> or dask:<address>
+  --pool POOL       serial, local, local:<workers>, dask:<address>, slurm:<jobs>
   --json, --quiet   JSON lines; nothing but errors; --strict: exit 3 if doubtful
   -h, --help        this page; --help-all: all, as --scan.crs, --masks.folder"""
 """The short help page of `tiegraph run`: one screen of 24 lines of 80 letters, there without loading anything.

@@ -23,23 +23,7 @@ COLMAP's ``ExportBundler``, Pix4D's specification of OPF 1.0, Metashape's manual
 
 from typing import Literal
 
-Name = Literal[
-    "dense",
-    "nerfstudio",
-    "colmap",
-    "gsplat",
-    "openmvs",
-    "bundler",
-    "opensfm",
-    "opf",
-    "metashape",
-    "tum",
-    "kitti",
-    "geojson",
-    "gpkg",
-    "e57",
-    "3dtiles",
-    "potree",
-]
+Name = Literal["dense", "nerfstudio", "colmap", "gsplat", "openmvs", "bundler", "opensfm", "opf", "metashape", "tum",
+               "kitti", "geojson", "gpkg", "e57", "3dtiles", "potree", "results"]  # fmt: skip
 """What `--to` takes; ``dense`` is the workspace of ``dense.undistort``, ``e57`` and ``potree`` the
-cloud, ``3dtiles`` cloud and mesh."""
+cloud, ``3dtiles`` cloud and mesh, ``results`` the files that a run is made for, as they are."""

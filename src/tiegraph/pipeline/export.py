@@ -4,7 +4,7 @@ and the cloud."""
 import io
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -41,8 +41,9 @@ from tiegraph.pipeline.mesh import FOLDER as MESH
 from tiegraph.pipeline.meshtiles import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
-from tiegraph.project.stages import write_atomic
-from tiegraph.scene.atomic import replacing
+from tiegraph.project.stages import files_below, write_atomic
+from tiegraph.project.stores import send, url_of
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.cloudchunks import write_e57
 from tiegraph.scene.cloudfile import las_cloud
 from tiegraph.scene.composed import with_cameras
@@ -51,6 +52,8 @@ from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
 
 _DEPTHS = "depths"
+_RESULTS = ("report.html", "report.json", "report.pdf", "metrics.json", "accuracy.csv", "world.json", "cloud.copc.laz",
+            "cloud.ply", "products", "mesh", "passes", "evaluate", "sparse/world")  # fmt: skip
 _SCAN = 10_000_000  # points of a scan of an E57 file: pye57 writes one from memory, about 0.5 GB
 
 
@@ -91,6 +94,29 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     finally:
         run.close()
     run.reporter.say(f"opened by: {exporter.opened.format(folder=target)}")
+    return count
+
+
+def hand_out_results(run: Run, target: str | Path) -> int:
+    """Copy the files that a run is made for into a folder or to a URL; their number. Raises InputError as
+    ``hand_out``."""
+    names = files_below(run.folder, _RESULTS)
+    if url := url_of(target):
+        send(url, run.folder, names, run.reporter)
+        return len(names)
+    must_be_empty(Path(target))
+    with replacing(Path(target).absolute()) as temporary:
+        for name in names:
+            _copy(run.folder / name, temporary / name)
+    return len(names)
+
+
+def to_store(url: str, write: Callable[[Path], int], run: Run) -> int:
+    """What ``write`` counts in the folder that it makes, which is then sent to a URL. Raises as ``send``."""
+    with scratch_folder() as scratch:
+        made = scratch / "made"
+        count = write(made)
+        send(url, made, sorted(p.relative_to(made).as_posix() for p in made.rglob("*") if p.is_file()), run.reporter)
     return count
 
 

@@ -1,10 +1,13 @@
 """Glue of products: rasters of the finished cloud and the images over reference surfaces."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
+from tiegraph import plugins
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
@@ -27,6 +30,7 @@ from tiegraph.products.raster import PICTURE_PX, Place, hillshade, overview, rel
 from tiegraph.products.surface import Survey, Window, choose
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.copc import copc_box, copc_sample
 from tiegraph.text import csv_text
@@ -67,11 +71,22 @@ def products(run: Run) -> Outcome:
             step.finish()
     for each in work:
         save_json(each.path("frame.json"), place.described(each.surface))
+        for name in run.settings.products.extra:
+            _by_plugin(name, each)
     notes += [each.said() for each in bare]
     if surfaces and place.unit != "m":
         notes.append("the model has no scale: lengths are in its own units")
     pixels = sum(s.shape[0] * s.shape[1] for s in surfaces)
     return Outcome({"surfaces": len(surfaces), "pixels": pixels}, notes=tuple(notes))
+
+
+def _by_plugin(name: str, work: OnSurface) -> None:
+    """Let a plug-in write a folder of its own, from the files of a surface."""
+    make: Callable[[Path, Path], None] = plugins.chosen("products", name, {})
+    if not (target := work.path(name)).exists():
+        with replacing(target) as temporary:
+            temporary.mkdir()
+            make(target.parent, temporary)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from tiegraph.pipeline.odometry import followed
 from tiegraph.project.inputs import FOLLOW
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.project.stores import not_fetched
 from tiegraph.scan.cameras import start_cameras
 from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.recording import Recording
@@ -106,6 +107,7 @@ def scan(run: Run) -> Outcome:
             *(() if known is None else known.said),
             *_unreadable_names(names, files),
             *passed_over,
+            *not_fetched(source_of(given.images)),
             *scene.notes,
             *told,
         ),

@@ -1,9 +1,10 @@
 """Settings of the products stage."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section
 
 
@@ -22,3 +23,5 @@ class ProductsSettings(Section):
     objects_m: float = Field(40.0, gt=0, le=1000)
     """For a map: trees, cars and houses up to this width, metres, are removed from the terrain model; wider objects in
     every direction, such as a hall or a closed forest, stay in it. Terrain is interpolated to half of this."""
+    extra: tuple[Annotated[str, or_plugin("products", None)], ...] = ()
+    """Plug-ins that make something of each surface too, in a folder of their name beside its rasters."""

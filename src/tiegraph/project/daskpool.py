@@ -44,8 +44,9 @@ _SHARED_BYTES = 2**18  # larger data goes to each worker once
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application", "asyncio")
 
 
-def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
-    """(executor, number of workers) of the cluster whose scheduler is at ``address``. Raises as ``open_pool``."""
+def open_dask(address: str, place: Place | None, end: Callable[[], Any] | None = None) -> tuple[Executor, int]:
+    """(executor, number of workers) of the cluster whose scheduler is at ``address``; ``end`` is called when the
+    executor has left it. Raises as ``open_pool``."""
     if not address:
         raise SettingsError("pool 'dask:': give the scheduler's address too, such as dask:tcp://127.0.0.1:8786")
     try:
@@ -54,7 +55,7 @@ def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
         raise EngineMissing("the dask pool needs Dask: pip install 'tiegraph[dask]'") from None
     quiet = Quiet()
     try:
-        executor = DaskExecutor(connect(address), address, quiet)
+        executor = DaskExecutor(connect(address), address, quiet, end)
     except BaseException:
         quiet.end()
         raise
@@ -68,8 +69,8 @@ def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
 class DaskExecutor(Executor):
     """Runs calls on the workers that ``begin`` found and those that came later. Made by ``open_dask``."""
 
-    def __init__(self, client: Any, address: str, quiet: "Quiet") -> None:
-        self._client, self._address, self._quiet = client, address, quiet
+    def __init__(self, client: Any, address: str, quiet: "Quiet", end: Callable[[], Any] | None = None) -> None:
+        self._client, self._address, self._quiet, self._end = client, address, quiet, end
         self._run = uuid.uuid4().hex
         self._place: Place | None = None
         self._workers: list[str] = []
@@ -147,6 +148,8 @@ class DaskExecutor(Executor):
         finally:
             with suppress(Exception):
                 self._client.close(timeout=5)
+            if self._end is not None:
+                self._end()
             self._quiet.end()
 
     def _asked(self, ask: Callable[..., Any], *args: Any, **more: Any) -> Any:

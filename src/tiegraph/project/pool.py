@@ -67,18 +67,23 @@ class LocalPool(ProcessPoolExecutor):
 
 
 def check_pool(spec: str) -> tuple[str, str]:
-    """(name, argument) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``, without starting anything.
+    """(name, argument) of ``serial``, ``local``, ``local:<n>``, ``dask:<address>`` or ``slurm:<jobs>``, without
+    starting anything.
 
     Raises SettingsError for another name, an invalid number, or far more workers than the machine has cores.
     """
     name, colon, argument = spec.partition(":")
-    if name not in ("serial", "local", "dask"):
-        raise SettingsError(f"unknown pool {spec!r}: give serial, local, local:<workers> or dask:<address>")
+    if name not in ("serial", "local", "dask", "slurm"):
+        raise SettingsError(
+            f"unknown pool {spec!r}: give serial, local, local:<workers>, dask:<address> or slurm:<jobs>"
+        )
     if name == "serial" and colon:
         raise SettingsError(f"pool {spec!r}: serial takes no number; give serial, or local:<workers>")
-    if name == "local" and argument:
+    if (name == "local" and argument) or name == "slurm":
         if not (argument.isascii() and argument.isdigit() and argument.strip("0")):
-            raise SettingsError(f"pool {spec!r}: the number of workers must be a positive whole number")
+            what = "jobs" if name == "slurm" else "workers"
+            raise SettingsError(f"pool {spec!r}: the number of {what} must be a positive whole number")
+    if name == "local" and argument:
         most = max(_MOST, _MOST_PER_CORE * cores())
         if len(argument) > 9 or int(argument) > most:
             raise SettingsError(f"pool {spec!r}: this machine has {cores()} cores; give local, or at most local:{most}")
@@ -87,18 +92,20 @@ def check_pool(spec: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Place:
-    """Folders that workers on other machines must reach, and the counter of their resource use."""
+    """Folders that workers on other machines must reach, the counter of their resource use, and who hears of waits."""
 
     folder: Path  # they write here
     reads: tuple[Path, ...] = ()  # and read these
     elsewhere: Elsewhere | None = None
+    say: Callable[[str], None] | None = None
 
 
 def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
-    """(executor, number of workers) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``.
+    """(executor, number of workers) of a pool as ``check_pool`` takes it.
 
     Raises SettingsError as ``check_pool``; of Dask: EngineMissing when it is not installed, InputError when the cluster
-    does not answer, has no workers, or one that lacks a requirement (the same versions, the folders of ``place``).
+    does not answer, has no workers, or one that lacks a requirement (the same versions, the folders of ``place``); and
+    as ``queuepool.open_slurm``.
     """
     name, argument = check_pool(spec)
     if name == "serial":
@@ -106,6 +113,10 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     if name == "local":
         count = int(argument or cores())
         return LocalPool(count, threads=max(1, cores() // count)), count
+    if name == "slurm":
+        from tiegraph.project.queuepool import open_slurm
+
+        return open_slurm(int(argument), place)
     from tiegraph.project.daskpool import open_dask
 
     return open_dask(argument, place)

@@ -13,6 +13,7 @@ from tiegraph import forking
 from tiegraph.child import end_helpers, start_server
 from tiegraph.errors import ChildDied, EngineMissing, InputError, ReconstructionError, SettingsError, TiegraphError
 from tiegraph.limits import explained
+from tiegraph.plugins import packages
 from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs, Stamps
@@ -70,13 +71,13 @@ class Run:
     @property
     def distributed(self) -> bool:
         """Whether the workers may be on other machines."""
-        return self._pool_spec.startswith("dask:")
+        return self._pool_spec.startswith(("dask:", "slurm:"))
 
     def open(self) -> Executor:
         """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
             self._serves = start_server() or self._serves
-            place = Place(self.folder, (source_of(self.inputs.images),), self.elsewhere)
+            place = Place(self.folder, (source_of(self.inputs.images),), self.elsewhere, say=self.reporter.say)
             self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 
@@ -293,13 +294,14 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
     section = getattr(run.settings, stage.name).model_dump(mode="json")
     tunings = {engine: getattr(run.settings.tuning, engine) for engine in engines(stage, run.settings)}
     changed = {engine: t.model_dump(mode="json", exclude_defaults=True) for engine, t in tunings.items()}
+    plugged = [p for n in (stage.name, *stage.uses) for p in packages(getattr(run.settings, n)).values()]
     more = {
         "key_parts": parts,
         "settings": section,
         "tuning": {engine: values for engine, values in changed.items() if values},
         "seconds": seconds,
         **used,
-        "software": software(),
+        "software": software() | {p: v for one in plugged for p, v in one.items()},
         "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
     }
     run.rest()

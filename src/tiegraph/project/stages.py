@@ -25,6 +25,7 @@ from typing import Any
 
 from tiegraph.__version__ import __version__
 from tiegraph.errors import InputError
+from tiegraph.plugins import packages
 from tiegraph.scene.atomic import JOURNAL, replacing, sync
 
 PLACE = "the place of the images"  # among the sources of a run
@@ -103,6 +104,7 @@ def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any], stamp: Ca
     for name in (stage.name, *stage.uses):
         key = settings_key(getattr(settings, name), stamp)
         parts.update({f"{name}.{n}": value for n, value in key.items()})
+        parts.update({f"the plug-in of {name}.{n}": p for n, p in packages(getattr(settings, name)).items()})
     for engine in engines(stage, settings):
         parts[f"tuning.{engine}"] = settings_key(getattr(settings.tuning, engine), stamp)
     return {"version of tiegraph": digest(stage.version), **{name: digest(part) for name, part in parts.items()}}
