@@ -7,11 +7,11 @@ import pytest
 from tiegraph.errors import InputError
 from tiegraph.features import sift
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import EXTRACTORS, extract_colmap, extract_image, extract_sift, read_mask, root_sift
+from tiegraph.features.sift import extract_colmap, extract_image, extract_sift, read_mask, root_sift
 from tiegraph.features.tuning import SiftTuning, Tuning
 
 SETTINGS, TUNING = FeaturesSettings(), SiftTuning()
-engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
+engines = pytest.mark.parametrize("extract", [extract_sift, extract_colmap], ids=["opencv", "colmap"])
 
 
 def blobs(size=(360, 400), seed=0):

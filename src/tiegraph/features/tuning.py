@@ -65,6 +65,10 @@ class SiftTuning(Section):
     of all."""
     enough_free: int = Field(500, ge=0)
     """Least number of such; an image with fewer (an up camera, which sees mostly roof lines) keeps the others too."""
+    network_px: int = Field(1600, gt=0)
+    """Longer side of the image that a network sees: COLMAP's for ALIKED; at 1600 it needs 2 GB."""
+    least_score: float = Field(0.2, ge=0, le=1)
+    """Least score of a network's feature: COLMAP's, and ALIKED's own."""
 
 
 class VerificationTuning(Section):

@@ -1,0 +1,85 @@
+"""Learned features against SIFT: ``python -m benchmarks.learned MODEL.onnx CASE ... --work DIR -o FILE``.
+
+A case is SET[/STEP][:CONDITION:SEVERITY]: a survey with truth, of which every STEP-th image is taken (a wider base), made
+worse as ``benchmarks.conditions`` does it. Each is run until georef with SIFT and with the network (``features.engine =
+onnx``); a row is kept when it is made. ``--match-ratio`` adds rows of the network with other values of
+``match.max_ratio``, ``--table`` prints the rows of FILE.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks import datasets, variants
+from benchmarks.conditions import worsened
+from benchmarks.table import line
+
+
+def case_of(case: str, work: Path) -> datasets.Dataset:
+    """The survey of a case, its images below ``work``."""
+    named, *worse = case.split(":")
+    name, _, step = named.partition("/")
+    dataset = datasets.load(name, work / "inputs")
+    folder = work / "images" / case.replace("/", "-").replace(":", "-")
+    if step:
+        kept = dict(sorted(dataset.cam_from_world.items())[:: int(step)])
+        for image in kept:
+            (folder / "kept" / image).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(dataset.images / image, folder / "kept" / image)
+        dataset = replace(dataset, images=folder / "kept", cam_from_world=kept)
+    return worsened(dataset, worse[0], float(worse[1]), folder / "worse") if worse else dataset
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure what FILE lacks."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("cases", nargs="*")
+    parser.add_argument("--match-ratio", nargs="*", type=float, default=[])
+    parser.add_argument("--work", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--table", action="store_true")
+    args = parser.parse_args(argv)
+    learned = {"features": {"engine": "onnx", "model": args.model}}
+    methods = {"SIFT": {}, args.model.stem: learned}
+    for ratio in args.match_ratio:
+        methods[f"{args.model.stem}, max_ratio {ratio:g}"] = {**learned, "match": {"max_ratio": ratio}}
+    kept = json.loads(args.output.read_text()) if args.output.exists() else []
+    for case in args.cases:
+        left = [m for m in methods if not any((r["case"], r["method"]) == (case, m) for r in kept)]
+        dataset = case_of(case, args.work) if left else None
+        for method in left:
+            out = args.work / "runs" / f"{case}-{method}".replace("/", "-").replace(":", "-").replace(" ", "")
+            row = variants.run(dataset, out, methods[method])
+            receipts = {n: out / "receipts" / f"{n}.json" for n in ("features", "match")}
+            found = {n: json.loads(p.read_text()) for n, p in receipts.items() if p.exists()}
+            row |= {f"{n}_cpu_s": r["cpu_s"] for n, r in found.items()}
+            row |= {n: found.get("match", {}).get("counts", {}).get(n) for n in ("matches", "inliers", "verified")}
+            kept.append({"case": case, "method": method, **row})
+            args.output.write_text(json.dumps(kept, indent=1, default=str) + "\n")
+            sys.stderr.write(f"{case} {method}: {row}\n")
+    if args.table:
+        sys.stdout.write(table(kept) + "\n")
+    return 0
+
+
+def table(rows: list[dict]) -> str:
+    """A row a case and method."""
+    head = ["case", "features", "images", "ATE, mm", "pairs verified", "inliers", "of the matches", "CPU s"]
+    out = [line(head), line(["---"] * len(head))]
+    for r in rows:
+        share = f"{r['inliers'] / r['matches']:.2f}" if r.get("matches") else "-"
+        error = "-" if r.get("ate_m") is None else f"{1000 * r['ate_m']:.1f}"
+        images = f"{r['registered']} of {r['images']}" if r.get("registered") else "none"
+        cells = [f"`{r['case']}`", r["method"], images, error, *(str(r.get(n)) for n in ("verified", "inliers"))]
+        out.append(line([*cells, share, str(r.get("cpu_s", "-"))]))
+    return "\n".join(out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
