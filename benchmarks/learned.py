@@ -1,8 +1,8 @@
-"""Learned features against SIFT: ``python -m benchmarks.learned MODEL.onnx CASE ... --work DIR -o FILE``.
+"""Learned features against SIFT: ``python -m benchmarks.learned CASE ... --models ONNX ... --work DIR -o FILE``.
 
-A case is SET[/STEP][:CONDITION:SEVERITY]: a survey with truth, of which every STEP-th image is taken (a wider base), made
-worse as ``benchmarks.conditions`` does it. Each is run until georef with SIFT and with the network (``features.engine =
-onnx``); a row is kept when it is made. ``--match-ratio`` adds rows of the network with other values of
+A case is SET[/STEP][:CONDITION:SEVERITY]: a survey with truth, of which every STEP-th image is taken (a wider base),
+made worse as ``benchmarks.conditions`` does it. Each is run until georef with SIFT and with each network
+(``features.engine = onnx``); a row is kept when it is made. ``--ratios`` adds rows of the networks with other values of
 ``match.max_ratio``, ``--table`` prints the rows of FILE.
 """
 
@@ -38,24 +38,28 @@ def case_of(case: str, work: Path) -> datasets.Dataset:
 def main(argv: list[str] | None = None) -> int:
     """Measure what FILE lacks."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", type=Path)
     parser.add_argument("cases", nargs="*")
-    parser.add_argument("--match-ratio", nargs="*", type=float, default=[])
+    parser.add_argument("--models", nargs="*", type=Path, default=[])
+    parser.add_argument("--ratios", nargs="*", type=float, default=[])
     parser.add_argument("--work", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--table", action="store_true")
     args = parser.parse_args(argv)
-    learned = {"features": {"engine": "onnx", "model": args.model}}
-    methods = {"SIFT": {}, args.model.stem: learned}
-    for ratio in args.match_ratio:
-        methods[f"{args.model.stem}, max_ratio {ratio:g}"] = {**learned, "match": {"max_ratio": ratio}}
+    methods: dict[str, tuple[dict, str]] = {"SIFT": ({}, "")}  # settings, and the method whose run it starts from
+    for model in args.models:
+        learned = {"features": {"engine": "onnx", "model": model.resolve()}}
+        methods[model.stem] = learned, "SIFT"
+        for ratio in args.ratios:
+            methods[f"{model.stem}, {ratio:g}"] = {**learned, "match": {"max_ratio": ratio}}, model.stem
     kept = json.loads(args.output.read_text()) if args.output.exists() else []
     for case in args.cases:
         left = [m for m in methods if not any((r["case"], r["method"]) == (case, m) for r in kept)]
         dataset = case_of(case, args.work) if left else None
         for method in left:
-            out = args.work / "runs" / f"{case}-{method}".replace("/", "-").replace(":", "-").replace(" ", "")
-            row = variants.run(dataset, out, methods[method])
+            settings, before = methods[method]
+            runs = args.work / "runs" / case.replace("/", "-").replace(":", "-")
+            out, base = runs / method, runs / before
+            row = variants.run(dataset, out, settings, base if before and base.exists() else None)
             receipts = {n: out / "receipts" / f"{n}.json" for n in ("features", "match")}
             found = {n: json.loads(p.read_text()) for n, p in receipts.items() if p.exists()}
             row |= {f"{n}_cpu_s": r["cpu_s"] for n, r in found.items()}

@@ -87,7 +87,9 @@ def test_masks_limits_and_the_size_that_the_network_sees(tiny):
 
 def test_files_that_cannot_be_used_are_refused(tmp_path, tiny, monkeypatch):
     other = tmp_path / "other.onnx"
-    other.write_bytes(model([node("Identity", "image", "y")], {"image": ("f4", (1, 3, 8, 8))}, {"y": ("f4", (1, 3, 8, 8))}))
+    other.write_bytes(
+        model([node("Identity", "image", "y")], {"image": ("f4", (1, 3, 8, 8))}, {"y": ("f4", (1, 3, 8, 8))})
+    )
     with pytest.raises(InputError, match="other.onnx: its inputs are image, but .* max_keypoints"):
         network(other)
     other.write_bytes(b"nonsense")
@@ -101,7 +103,9 @@ def test_files_that_cannot_be_used_are_refused(tmp_path, tiny, monkeypatch):
         FeaturesSettings(model=tiny)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     session.cache_clear()
-    with pytest.raises(EngineMissing, match=r"features.engine = onnx needs ONNX Runtime: pip install 'tiegraph\[onnx\]'"):
+    with pytest.raises(
+        EngineMissing, match=r"features.engine = onnx needs ONNX Runtime: pip install 'tiegraph\[onnx\]'"
+    ):
         network(tiny)
 
 

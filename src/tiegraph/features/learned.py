@@ -1,9 +1,9 @@
 """Features by a network in the user's ONNX file, with the inputs and outputs of the files that COLMAP publishes for
 ALIKED (Zhao et al. 2023). COLMAP's wheels are built without ONNX Runtime, so it runs here.
 
-Descriptors of a network have signs. As bytes like SIFT's, of SIFT's length, whatever matches SIFT matches them: the
-mean of each is taken off (one of 128 dimensions), and all get the same mean instead. The distance of two is then that of
-the network times one number, and so is Lowe's ratio.
+Descriptors of a network have signs. They become bytes of SIFT's number and length, so that whatever stores and matches
+SIFT serves them: the mean of each (one of 128 dimensions) is replaced by one that all share. The distance of two is
+then that of the network times one number, and Lowe's ratio is the same.
 """
 
 from pathlib import Path
@@ -17,7 +17,8 @@ from tiegraph.scene.onnxfile import session
 
 _INPUTS, _OUTPUTS = ("image", "max_keypoints", "min_score"), ("keypoints", "descriptors", "scores")
 _STEP = 32  # pixels: the network reduces an image by it, so its sides are multiples
-_LENGTH, _NORM, _SHARE = 128, 512.0, 128.0  # of SIFT's bytes: how many, their length; that part of it that distinguishes
+_COUNT, _NORM = 128, 512.0  # SIFT's bytes and their length
+_SHARE = 128.0  # of that length, the part that distinguishes: more of it would leave the range of a byte
 
 
 def network(model: Path) -> Any:
@@ -57,13 +58,13 @@ def detected(gray: np.ndarray, model: Path, most: int, min_score: float) -> tupl
 
 def as_bytes(descriptors: np.ndarray) -> np.ndarray:
     """Descriptors (K, D) f4 of a network as (K, 128) u1 of SIFT's length. Raises ValueError for D > 128."""
-    missing = _LENGTH - descriptors.shape[1]
+    missing = _COUNT - descriptors.shape[1]
     if missing < 0:
-        raise ValueError(f"descriptors have {descriptors.shape[1]} numbers, more than the {_LENGTH} of SIFT")
+        raise ValueError(f"descriptors have {descriptors.shape[1]} numbers, more than the {_COUNT} of SIFT")
     full = np.pad(descriptors.astype(np.float64), ((0, 0), (0, missing)))
     full -= full.mean(axis=1, keepdims=True)
     full *= _SHARE / np.maximum(np.linalg.norm(full, axis=1, keepdims=True), 1e-12)
-    full += np.sqrt((_NORM**2 - _SHARE**2) / _LENGTH)
+    full += np.sqrt((_NORM**2 - _SHARE**2) / _COUNT)
     # Sums are rounded, not numbers: with the mean of each kept, an error counts for the descriptor only
     whole = np.diff(np.rint(np.cumsum(full, axis=1)), axis=1, prepend=0)
     return np.clip(whole, 0, 255).astype(np.uint8)

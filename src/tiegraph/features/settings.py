@@ -49,7 +49,9 @@ class FeaturesSettings(Section):
         if self.engine == "onnx" and self.model is None:
             raise ValueError("engine = onnx needs the setting model: the ONNX file of the network")
         if self.model is not None and self.engine != "onnx":
-            raise ValueError(f"model is given, but engine = {self.engine} does not read it: omit it or set engine = onnx")
+            raise ValueError(
+                f"model is given, but engine = {self.engine} does not read it: omit it or set engine = onnx"
+            )
         return self
 
 

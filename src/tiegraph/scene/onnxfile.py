@@ -17,6 +17,7 @@ def session(onnx: Path, setting: str) -> Any:
         raise EngineMissing(f"{setting} needs ONNX Runtime: pip install 'tiegraph[onnx]'") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # images run side by side already
+    options.enable_cpu_mem_arena = False  # it would keep the memory of every image
     try:
         return onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # ONNX Runtime raises classes of its own that share no base
