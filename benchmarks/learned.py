@@ -3,7 +3,7 @@
 A case is SET[/STEP][:CONDITION:SEVERITY]: a survey with truth, of which every STEP-th image is taken (a wider base),
 made worse as ``benchmarks.conditions`` does it. Each is run until georef with SIFT and with each network
 (``features.engine = onnx``); a row is kept when it is made. ``--ratios`` adds rows of the networks with other values of
-``match.max_ratio``, ``--table`` prints the rows of FILE.
+``match.max_ratio``, ``--write`` puts the table of FILE between its markers in docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -17,7 +17,11 @@ from pathlib import Path
 
 from benchmarks import datasets, variants
 from benchmarks.conditions import worsened
-from benchmarks.table import line
+from benchmarks.table import line, put
+
+_ROOT = Path(__file__).resolve().parents[1]
+_RESULTS, _DOCUMENT = _ROOT / "benchmarks" / "results" / "learned.json", _ROOT / "docs" / "benchmarks.md"
+BEGIN, END = "<!-- python -m benchmarks.learned --write -->", "<!-- end of the learned features -->"
 
 
 def case_of(case: str, work: Path) -> datasets.Dataset:
@@ -42,8 +46,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--models", nargs="*", type=Path, default=[])
     parser.add_argument("--ratios", nargs="*", type=float, default=[])
     parser.add_argument("--work", type=Path)
-    parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--table", action="store_true")
+    parser.add_argument("-o", "--output", type=Path, default=_RESULTS)
+    parser.add_argument("--write", action="store_true")
     args = parser.parse_args(argv)
     methods: dict[str, tuple[dict, str]] = {"SIFT": ({}, "")}  # settings, and the method whose run it starts from
     for model in args.models:
@@ -67,21 +71,22 @@ def main(argv: list[str] | None = None) -> int:
             kept.append({"case": case, "method": method, **row})
             args.output.write_text(json.dumps(kept, indent=1, default=str) + "\n")
             sys.stderr.write(f"{case} {method}: {row}\n")
-    if args.table:
-        sys.stdout.write(table(kept) + "\n")
+    if args.write:
+        put(_DOCUMENT, BEGIN, END, table(kept))
     return 0
 
 
 def table(rows: list[dict]) -> str:
     """A row a case and method."""
-    head = ["case", "features", "images", "ATE, mm", "pairs verified", "inliers", "of the matches", "CPU s"]
+    head = ["case", "features", "images", "ATE, mm", "pairs verified", "inliers", "of the matches", "CPU s (features)"]
     out = [line(head), line(["---"] * len(head))]
     for r in rows:
         share = f"{r['inliers'] / r['matches']:.2f}" if r.get("matches") else "-"
         error = "-" if r.get("ate_m") is None else f"{1000 * r['ate_m']:.1f}"
         images = f"{r['registered']} of {r['images']}" if r.get("registered") else "none"
         cells = [f"`{r['case']}`", r["method"], images, error, *(str(r.get(n)) for n in ("verified", "inliers"))]
-        out.append(line([*cells, share, str(r.get("cpu_s", "-"))]))
+        spent = f"{r['cpu_s']:.0f} ({r.get('features_cpu_s') or 0:.0f})" if r.get("cpu_s") else "-"
+        out.append(line([*cells, share, spent]))
     return "\n".join(out)
 
 

@@ -61,10 +61,10 @@ def model(
     return field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 17))
 
 
-def corners() -> bytes:
+def corners(seed: int = 0) -> bytes:
     """A network with the inputs and outputs of COLMAP's files for ALIKED: it finds the local maxima of 9 x 9 pixels
     that are brighter than ``min_score``, and describes each by 128 sums of the 11 x 11 pixels around it."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     kernels = rng.normal(size=(128, 1, 11, 11)).astype(np.float32)
     kernels -= kernels.mean(axis=(2, 3), keepdims=True)
     whole = {n: np.array(v, np.int64) for n, v in {

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from benchmarks import bands, lidar, table
+from benchmarks import bands, learned, lidar, table
 
 _ROW = {
     "set": "boat", "images": 60, "unit": "m", "held_by": "nothing",
@@ -27,6 +27,11 @@ def test_the_document_holds_what_the_results_say() -> None:
     rows, sigma = (json.loads((bands._RESULTS / f"{n}.json").read_text())["rows"] for n in ("bands", "sigma"))
     said = f"{bands.BEGIN}\n{bands.table(rows, sigma)}\n{bands.END}"
     assert bands._DOCUMENT.read_text().count(said) == 1, "python -m benchmarks.bands --write"
+
+
+def test_the_table_of_learned_features_is_that_of_the_results() -> None:
+    said = f"{learned.BEGIN}\n{learned.table(json.loads(learned._RESULTS.read_text()))}\n{learned.END}"
+    assert learned._DOCUMENT.read_text().count(said) == 1, "python -m benchmarks.learned --write"
 
 
 def test_the_page_of_the_lidar_holds_what_the_results_say() -> None:

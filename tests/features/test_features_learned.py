@@ -3,6 +3,7 @@
 The network is a tiny one that is made here (``tinyonnx.corners``).
 """
 
+import json
 import sys
 
 import cv2
@@ -11,7 +12,7 @@ import pycolmap
 import pytest
 
 import tiegraph
-from tiegraph.errors import EngineMissing, InputError, SettingsError
+from tiegraph.errors import EngineMissing, InputError
 from tiegraph.features import nearest
 from tiegraph.features.learned import as_bytes, detected, network
 from tiegraph.features.settings import FeaturesSettings
@@ -112,8 +113,8 @@ def test_files_that_cannot_be_used_are_refused(tmp_path, tiny, monkeypatch):
 def test_a_run_with_a_network(tmp_path, tiny):
     survey = make_survey(tmp_path / "images", passes=("up",), frames=3)
     broken = tmp_path / "broken.onnx"
-    with pytest.raises((InputError, SettingsError), match="no such file"):
-        settings = {"features": {"engine": "onnx", "model": broken}}
+    settings = {"features": {"engine": "onnx", "model": broken}}
+    with pytest.raises(InputError, match="features.model .*broken.onnx: no such file"):
         tiegraph.open(survey.images, tmp_path / "out", settings=settings).run(until="match")
     broken.write_bytes(b"nonsense")
     with pytest.raises(InputError, match="not a model ONNX Runtime can load"):  # before the work
@@ -122,3 +123,10 @@ def test_a_run_with_a_network(tmp_path, tiny):
     project = tiegraph.open(survey.images, tmp_path / "out", settings=settings)
     pairs = project.run(until="match").pairs()
     assert (pairs.inliers[pairs.dropped == 0] >= 15).all() and (pairs.dropped == 0).sum() >= 3
+    receipt = project.folder / "receipts" / "features.json"
+    before = receipt.read_bytes()
+    project.run(until="features")
+    assert receipt.read_bytes() == before  # nothing to do
+    tiny.write_bytes(corners(seed=1))
+    project.run(until="features")
+    assert json.loads(receipt.read_text())["key"] != json.loads(before)["key"]  # another network of that name
