@@ -3,7 +3,9 @@
 A case is SET[/STEP][:CONDITION:SEVERITY]: a survey with truth, of which every STEP-th image is taken (a wider base),
 made worse as ``benchmarks.conditions`` does it. Each is run until georef with SIFT and with each network
 (``features.engine = onnx``); a row is kept when it is made. ``--ratios`` adds rows of the networks with other values of
-``match.max_ratio``, ``--write`` puts the table of FILE between its markers in docs/benchmarks.md.
+``match.max_ratio``, ``--write`` puts the table of FILE between its markers in docs/benchmarks.md. ``--underside
+FOLDER`` prints, for the upward camera of ``canal_demo`` in that folder, how many matches of neighbouring frames lie
+within 2 px of the true epipolar line.
 """
 
 from __future__ import annotations
@@ -15,9 +17,19 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+import tiegraph  # noqa: F401  before pycolmap
+
+import pycolmap  # isort: skip
+
 from benchmarks import datasets, variants
 from benchmarks.conditions import worsened
 from benchmarks.table import line, put
+from tiegraph.features import nearest
+from tiegraph.features.settings import FeaturesSettings
+from tiegraph.features.sift import extract_image
+from tiegraph.features.tuning import Tuning
 
 _ROOT = Path(__file__).resolve().parents[1]
 _RESULTS, _DOCUMENT = _ROOT / "benchmarks" / "results" / "learned.json", _ROOT / "docs" / "benchmarks.md"
@@ -47,6 +59,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--ratios", nargs="*", type=float, default=[])
     parser.add_argument("--work", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=_RESULTS)
+    parser.add_argument("--underside", type=Path)
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args(argv)
     methods: dict[str, tuple[dict, str]] = {"SIFT": ({}, "")}  # settings, and the method whose run it starts from
@@ -71,9 +84,36 @@ def main(argv: list[str] | None = None) -> int:
             kept.append({"case": case, "method": method, **row})
             args.output.write_text(json.dumps(kept, indent=1, default=str) + "\n")
             sys.stderr.write(f"{case} {method}: {row}\n")
+    if args.underside:
+        for method, (settings, _) in methods.items():
+            found = FeaturesSettings(**settings.get("features", {})), settings.get("match", {}).get("max_ratio", 0.8)
+            sys.stdout.write(f"{method}: {underside(args.underside, *found)}\n")
     if args.write:
         put(_DOCUMENT, BEGIN, END, table(kept))
     return 0
+
+
+def underside(folder: Path, settings: FeaturesSettings, ratio: float) -> str:
+    """Matches and true ones of frames 1, 2 and 3 apart, summed over the outward pass."""
+    truth = {i.name: i for i in pycolmap.Reconstruction(folder / "gt" / "colmap").images.values()}
+    names = sorted(n for n in truth if n.startswith("up/cam5"))
+    found = [extract_image(folder / "images" / n, None, settings, Tuning()) for n in names]
+    said = []
+    for apart in (1, 2, 3):
+        counts = np.zeros(2, int)
+        for k in range(len(names) - apart):
+            (points, one), (others, other) = found[k], found[k + apart]
+            rows = nearest.matches(one, other, pycolmap.SiftMatchingOptions(max_ratio=ratio))
+            a, b = truth[names[k]], truth[names[k + apart]]
+            relative = b.cam_from_world() * a.cam_from_world().inverse()
+            across = np.cross(relative.translation, relative.rotation.matrix(), axisb=0, axisc=0)
+            inner = [np.linalg.inv(i.camera.calibration_matrix()) for i in (a, b)]
+            xa, xb = (np.c_[p[r, :2], np.ones(len(r))].astype(float) for p, r in zip((points, others), rows.T))
+            lines = xa @ (inner[1].T @ across @ inner[0]).T
+            off = np.abs((xb * lines).sum(axis=1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=1), 1e-12)
+            counts += len(rows), int((off < 2).sum())
+        said.append(f"{apart} apart: {counts[1]} of {counts[0]}")
+    return "; ".join(said)
 
 
 def table(rows: list[dict]) -> str:
