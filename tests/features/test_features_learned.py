@@ -111,17 +111,18 @@ def test_files_that_cannot_be_used_are_refused(tmp_path, tiny, monkeypatch):
         network(tiny)
 
 
+@pytest.mark.slow
 def test_a_run_with_a_network(tmp_path, tiny):
     survey = make_survey(tmp_path / "images", passes=("up",), frames=3)
     broken = tmp_path / "broken.onnx"
     settings = {"masks": {"source": "none"}, "features": {"engine": "onnx", "model": broken}}
     with pytest.raises(InputError, match="features.model .*broken.onnx: no such file"):
-        tiegraph.open(survey.images, tmp_path / "out", settings=settings).run(until="match")
+        tiegraph.open(survey.images, tmp_path / "out", settings=settings, pool="serial").run(until="match")
     broken.write_bytes(b"nonsense")
     with pytest.raises(InputError, match="not a model ONNX Runtime can load"):  # before the work
-        tiegraph.open(survey.images, tmp_path / "out", settings=settings).run(until="preview")
+        tiegraph.open(survey.images, tmp_path / "out", settings=settings, pool="serial").run(until="preview")
     settings["features"]["model"] = tiny
-    project = tiegraph.open(survey.images, tmp_path / "out", settings=settings)
+    project = tiegraph.open(survey.images, tmp_path / "out", settings=settings, pool="serial")
     project.run(until="features")
     with Rows(project.folder / "database.db") as rows:
         one, other = (rows.descriptors_of(k) for k in (1, 2))  # of one camera, one after the other
