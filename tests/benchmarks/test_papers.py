@@ -9,7 +9,7 @@ from benchmarks.papers.measure import RESULTS, RUNS
 from benchmarks.papers.printed import PRINTED
 from benchmarks.papers.tables import tables
 
-from benchmarks import bands, check, lidar, table
+from benchmarks import bands, check, learned, lidar, table
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -135,6 +135,11 @@ def test_the_document_holds_what_the_results_say() -> None:
     rows, sigma = (json.loads((bands._RESULTS / f"{n}.json").read_text())["rows"] for n in ("bands", "sigma"))
     said = f"{bands.BEGIN}\n{bands.table(rows, sigma)}\n{bands.END}"
     assert bands._DOCUMENT.read_text().count(said) == 1, "python -m benchmarks.bands --write"
+
+
+def test_the_table_of_learned_features_is_that_of_the_results() -> None:
+    said = f"{learned.BEGIN}\n{learned.table(json.loads(learned._RESULTS.read_text()))}\n{learned.END}"
+    assert learned._DOCUMENT.read_text().count(said) == 1, "python -m benchmarks.learned --write"
 
 
 def test_the_page_of_the_lidar_holds_what_the_results_say() -> None:

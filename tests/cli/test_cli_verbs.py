@@ -308,7 +308,7 @@ def test_what_is_installed_has_its_version_and_hints_for_the_rest_keep_their_bra
     assert [lines()[name] for name in names] == ["0.11 of onnxruntime", "0.11 of distributed", "0.11 of rosbags"]
     monkeypatch.setattr(doctor, "version", lambda name: version(f"no-{name}"))
     assert [lines()[name] for name in names] == [
-        "not installed (pip install 'tiegraph[onnx]' for --masks.source model)",
+        "not installed (pip install 'tiegraph[onnx]' for --masks.source model, --features.engine onnx)",
         "not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)",
         "not installed (pip install 'tiegraph[ros]' for bags of ROS)",
     ]

@@ -9,7 +9,6 @@ from tiegraph.features import sift
 from tiegraph.features.preview import extract_preview
 from tiegraph.features.settings import FeaturesSettings, PreviewSettings
 from tiegraph.features.sift import (
-    EXTRACTORS,
     contrast,
     evened,
     extract_colmap,
@@ -21,7 +20,7 @@ from tiegraph.features.sift import (
 from tiegraph.features.tuning import SiftTuning, Tuning
 
 SETTINGS, TUNING = FeaturesSettings(), SiftTuning()
-engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
+engines = pytest.mark.parametrize("extract", [extract_sift, extract_colmap], ids=["opencv", "colmap"])
 
 
 def blobs(size=(360, 400), seed=0):

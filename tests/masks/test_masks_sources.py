@@ -262,14 +262,14 @@ def test_a_model_of_the_users_makes_masks(model, tmp_path):
     mask = source.mask(path, prepared, settings, Tuning(), "a.png")
     assert mask.shape == (240, 320) and not mask[:75].any() and mask[85:155].all()
     (tmp_path / "tiny.onnx").write_bytes(b"nonsense")
-    sources._session.cache_clear()
+    sources.session.cache_clear()
     with pytest.raises(InputError, match="not a model ONNX Runtime can load"):
         source.mask(path, prepared, settings, Tuning(), "a.png")
 
 
 def test_without_onnx_runtime_it_says_what_to_install(model, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    sources._session.cache_clear()
+    sources.session.cache_clear()
     with pytest.raises(EngineMissing, match=r"tiegraph\[onnx\]"):
         sources.model_classes(np.zeros((24, 32, 3), np.uint8), sources.read_model(model))
 

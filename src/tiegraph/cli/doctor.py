@@ -45,7 +45,7 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "descriptor kernels", ", ".join(nearest.kernels()) or "not built: NumPy finds the nearest descriptors"
     yield "GPU", _gpu()
     yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"
-    yield "ONNX Runtime", _optional("onnxruntime", "onnx", "--masks.source model")
+    yield "ONNX Runtime", _optional("onnxruntime", "onnx", "--masks.source model, --features.engine onnx")
     yield "PROJ grids", _grids()
     yield "dask", _optional("distributed", "dask", "--pool dask:<address>")
     yield "dask-jobqueue", _optional("dask-jobqueue", "slurm", "--pool slurm:<jobs>")

@@ -1,13 +1,14 @@
 """Settings of the stages preview, features and match."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tiegraph.plugins import or_plugin
-from tiegraph.settings import Section
+from tiegraph.settings import Section, user_path
 
-EngineName = Literal["opencv", "colmap"]
+EngineName = Literal["opencv", "colmap", "onnx"]
 
 
 class PreviewSettings(Section):
@@ -30,7 +31,11 @@ class FeaturesSettings(Section):
     """Features at full resolution, for the model."""
 
     engine: Annotated[EngineName | str, or_plugin("features", EngineName)] = "opencv"
-    """Extractor of SIFT: opencv (fast), or colmap (its own extractor, several times slower on a CPU)."""
+    """opencv = SIFT (fast); colmap = SIFT by COLMAP's own extractor (several times slower on a CPU); onnx = learned
+    features by a network, of the file that is given as model."""
+    model: Path | None = user_path("file")
+    """ONNX file of a network as COLMAP publishes them for ALIKED (aliked-n16rot.onnx, aliked-n32.onnx). Needs ONNX
+    Runtime: pip install 'tiegraph[onnx]'."""
     max_features: int = Field(12288, ge=64, le=65536)
     """Most features kept in an image of 4.5 megapixels or more, the clearest first; smaller ones keep fewer in
     proportion, but a third at least."""
@@ -38,6 +43,16 @@ class FeaturesSettings(Section):
     """Longer side in pixels above which an image is shrunk for the search; positions are scaled back."""
     contrast: float = Field(0.02, gt=0, le=0.2)
     """Least contrast of a feature (grey range 0 to 1, Lowe's threshold): lower finds more in weak texture."""
+
+    @model_validator(mode="after")
+    def _model_goes_with_engine(self) -> "FeaturesSettings":
+        if self.engine == "onnx" and self.model is None:
+            raise ValueError("engine = onnx needs the setting model: the ONNX file of the network")
+        if self.model is not None and self.engine != "onnx":
+            raise ValueError(
+                f"model is given, but engine = {self.engine} does not read it: omit it or set engine = onnx"
+            )
+        return self
 
 
 class MatchSettings(Section):

@@ -21,6 +21,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
+from tiegraph.features.learned import detected
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.tuning import ContrastTuning, SiftTuning, Tuning
 from tiegraph.gpu import device, on_gpu
@@ -222,4 +223,23 @@ def extract_colmap(
     return keypoints[inside].astype(np.float32), np.asarray(descriptors.data, np.uint8).reshape(-1, 128)[inside]
 
 
-EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "colmap": extract_colmap}
+# --- learned features ------------------------------------------------------------------------------------------------
+
+
+def extract_onnx(
+    gray: np.ndarray, mask: np.ndarray | None, settings: FeaturesSettings, tuning: SiftTuning
+) -> tuple[np.ndarray, np.ndarray]:
+    """As ``extract_sift``, by the network ``settings.model``: the scale is its pixel, the orientation 0."""
+    check_input(gray, mask)
+    assert settings.model is not None  # by the settings
+    small = shrunk(gray, min(settings.max_image_size, tuning.network_px))
+    to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
+    most = int(most_features(gray.size / 1e6, settings.max_features, tuning))
+    xy, descriptors = detected(small, settings.model, most, tuning.least_score)
+    keypoints = np.zeros((len(xy), 4), np.float32)
+    keypoints[:, :2], keypoints[:, 2] = xy * to_full, np.sqrt(to_full.prod())
+    inside = on_mask(keypoints, mask, tuning)
+    return keypoints[inside], descriptors[inside]
+
+
+EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "colmap": extract_colmap, "onnx": extract_onnx}

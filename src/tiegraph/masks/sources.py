@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError
 from tiegraph.masks import NAMES, USE
 from tiegraph.masks.classification import Classifier, classes_of
 from tiegraph.masks.folder import check_folder, read_folder_mask
@@ -21,7 +21,8 @@ from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.learnt import Map, learn
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
-from tiegraph.scene.atomic import cached_by_file, regular
+from tiegraph.scene.atomic import regular
+from tiegraph.scene.onnxfile import session
 from tiegraph.scene.scene import Scene
 
 if sys.version_info >= (3, 11):
@@ -183,11 +184,11 @@ def read_model(path: Path) -> Model:
 def model_classes(image: np.ndarray, model: Model) -> np.ndarray:
     """Classes (h, w) u1 of an image (h, w, 3) u1 BGR. Raises InputError for unsuitable input or output of the model,
     EngineMissing without ONNX Runtime."""
-    session = _session(model.onnx)
+    network = session(model.onnx, "masks.source = model")
     small = cv2.resize(image, model.size, interpolation=cv2.INTER_AREA)[..., ::-1].astype(np.float32) / 255
     small = (small - np.array(model.mean, np.float32)) / np.array(model.deviation, np.float32)
     try:
-        out = session.run(None, {session.get_inputs()[0].name: np.ascontiguousarray(small.transpose(2, 0, 1)[None])})[0]
+        out = network.run(None, {network.get_inputs()[0].name: np.ascontiguousarray(small.transpose(2, 0, 1)[None])})[0]
     except Exception as error:  # ONNX Runtime raises classes of its own that share no base
         raise InputError(
             f"{model.onnx}: the model does not take a (1, 3, {model.size[1]}, {model.size[0]}) image: {error}"
@@ -200,20 +201,6 @@ def model_classes(image: np.ndarray, model: Model) -> np.ndarray:
     known = (labels >= 0) & (labels < len(model.table))
     classes = np.where(known, model.table[np.where(known, labels, 0)], USE).astype(np.uint8)
     return cv2.resize(classes, image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-
-
-@cached_by_file(maxsize=2)
-def _session(onnx: Path) -> Any:
-    try:
-        import onnxruntime
-    except ImportError:
-        raise EngineMissing("masks.source = model needs ONNX Runtime: pip install 'tiegraph[onnx]'") from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1  # images run side by side already
-    try:
-        return onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise InputError(f"{onnx}: not a model ONNX Runtime can load: {error}") from None
 
 
 def _read_model(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> Model:

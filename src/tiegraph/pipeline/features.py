@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.child import cores
+from tiegraph.features.learned import network
 from tiegraph.features.matchblocks import Rules, Side, match_pairs
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import FeaturesSettings, PreviewSettings
@@ -40,6 +41,8 @@ from tiegraph.text import some
 def preview(run: Run) -> Outcome:
     """Low-resolution features and brightness of every image, under its mask."""
     scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features
+    if run.settings.features.model is not None:
+        network(run.settings.features.model)  # one that cannot be used is refused before the work
     run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
     dim = dim_images(run.folder, scene.names, tuning)
     said = () if not dim else (

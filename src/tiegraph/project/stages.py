@@ -324,7 +324,7 @@ class Receipts:
         write_atomic(self.list_path(stage), json.dumps(files, separators=(",", ":")))
 
 
-_PACKAGES = ("pycolmap", "pycolmap-cuda12", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj", "rasterio")
+_PACKAGES = "pycolmap pycolmap-cuda12 numpy opencv-python-headless scipy laspy pyproj rasterio onnxruntime".split()
 
 
 def software() -> dict[str, str]:
