@@ -186,8 +186,8 @@ def test_filters_drop_outliers_and_keep_the_surface():
     assert keep[: len(surface)].mean() > 0.97 and not keep[len(surface) :].any()
     assert statistical == (~keep).sum() and radius == 0
     three = np.r_[surface, [[0, 0, 9.0], [0.1, 0, 9], [0, 0.1, 9]]]  # a point is no neighbour of its own
-    few = CloudSettings(neighbours=3, radius_neighbours=0)
-    assert not filter_points(three, np.full(len(three), 0.1), few, TUNING)[0][-3:].any()
+    few, statistical_only = TUNING.model_copy(update={"neighbours": 3}), CloudSettings(radius_neighbours=0)
+    assert not filter_points(three, np.full(len(three), 0.1), statistical_only, few)[0][-3:].any()
     off = CloudSettings(statistical_ratio=0, radius_neighbours=0)
     assert filter_points(points, spacing, off, TUNING)[0].all()
     assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS, TUNING)[0]) == 0

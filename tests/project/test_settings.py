@@ -57,9 +57,8 @@ def test_typos_are_refused_with_the_nearest_name(given, words):
 def test_about_seventy_settings_at_most():
     count = sum(len(fields) for _, fields in sections())
     # One more for products.objects_m: how wide the halls of a survey are no constant can know. Four for the mesh: how
-    # large and fine a mesh somebody's viewer takes no constant can know either. One for products.extra: a plug-in that
-    # is installed is used only where it is asked for.
-    assert count <= 109, "a constant that nobody should change is a constant"
+    # large and fine a mesh somebody's viewer takes no constant can know either.
+    assert count <= 108, "a constant that nobody should change is a constant"
 
 
 def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
@@ -221,6 +220,7 @@ PATHS = [
     ("masks", "folder", "folder", {}),
     ("masks", "model", "file", {"source": "model"}),
     ("candidates", "pairs_file", "file", {"sources": ["file"]}),
+    ("features", "model", "file", {"engine": "onnx"}),
     ("georef", "gcp", "file", {}),
     ("georef", "marks", "file", {}),
     ("evaluate", "reference", "file or folder", {}),

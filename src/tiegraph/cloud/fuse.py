@@ -278,7 +278,7 @@ def _filter_one(
         _save(_tile_path(scratch, tile, "final"), voxels)
         return len(voxels), 0, 0
     justified = spacing(voxels.cell, voxel)
-    around = _margin(tile, scratch, voxel, settings.radius_voxels * float(justified.max()))
+    around = _margin(tile, scratch, voxel, tuning.radius_voxels * float(justified.max()))
     xyz = positions(voxels.cell, voxels.weight, voxels.place, tile, voxel)
     keep, statistical, radius = filter_points(xyz, justified, settings, tuning, around)
     kept = voxels.where(keep)
@@ -341,7 +341,7 @@ def filter_points(
     *Statistical*: the mean distance to the nearest ``neighbours`` is at most the mean of all plus ``statistical_ratio``
     deviations. *Radius*: ``radius_neighbours`` other points lie within ``radius_voxels`` spacings.
     """
-    count, wanted = settings.neighbours, settings.radius_neighbours
+    count, wanted = tuning.neighbours, settings.radius_neighbours
     if len(xyz) == 0:
         return np.zeros(0, bool), 0, 0
     tree = cKDTree(xyz if around is None else np.concatenate([xyz, around]))
@@ -356,5 +356,5 @@ def filter_points(
     mean /= spacing
     held = np.minimum(mean, tuning.held_medians * np.median(mean))
     near = mean <= held.mean() + settings.statistical_ratio * held.std()
-    dense = furthest <= settings.radius_voxels * spacing
+    dense = furthest <= tuning.radius_voxels * spacing
     return near & dense, int(np.count_nonzero(~near)), int(np.count_nonzero(near & ~dense))

@@ -13,15 +13,11 @@ class CloudSettings(Section):
     object. Points known less well are spaced more widely."""
     max_relative_sigma: float = Field(0.03, gt=0, le=0.5)
     """Largest standard deviation of a point as a share of its distance to the camera."""
-    neighbours: int = Field(12, ge=3, le=100)
-    """Nearest neighbours of the statistical filter."""
     statistical_ratio: float = Field(2.0, ge=0, le=20)
-    """A point is dropped if its mean distance to the neighbours exceeds the average by this many standard deviations;
-    0 = filter off."""
-    radius_voxels: float = Field(3.0, gt=0, le=20)
-    """Radius of the radius filter, in spacings of the point."""
+    """A point is dropped if its mean distance to its twelve neighbours exceeds the average by this many standard
+    deviations; 0 = filter off."""
     radius_neighbours: int = Field(3, ge=0, le=100)
-    """Neighbours a point must have within that radius; 0 = filter off."""
+    """Neighbours a point must have within three spacings; 0 = filter off."""
 
     @property
     def filtered(self) -> bool:

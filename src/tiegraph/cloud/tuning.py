@@ -13,3 +13,7 @@ class Tuning(Section):
     held_medians: float = Field(10.0, gt=0)
     """The statistical filter holds distances at so many medians: a few points very far away would enlarge the deviation
     and save the others."""
+    neighbours: int = Field(12, ge=3)
+    """Nearest neighbours of the statistical filter."""
+    radius_voxels: float = Field(3.0, gt=0)
+    """Radius of the radius filter, in spacings of the point."""
