@@ -39,6 +39,7 @@ def test_matches_are_those_of_the_true_poses(survey: Survey) -> None:
     assert 10 < len(kept) < len(a) and kept[:, 0].max() <= 128
 
 
+@pytest.mark.slow
 def test_neighbours_are_candidates(survey: Survey) -> None:
     _, images = port(survey)
     for ordered in (True, False):
@@ -51,6 +52,7 @@ def test_neighbours_are_candidates(survey: Survey) -> None:
     assert graph["a"]["b"]["score"] == rows.query("image1 == 'a' and image2 == 'b'").score.item()
 
 
+@pytest.mark.slow
 def test_depth_maps_and_their_cloud_lie_on_the_surface(survey: Survey) -> None:
     names, images = port(survey)
     camera = survey.rig.sensors[0].camera
@@ -79,6 +81,7 @@ def test_depth_maps_and_their_cloud_lie_on_the_surface(survey: Survey) -> None:
     assert 0.1 < abs(moved.differences.summary()["median m"] - judged.differences.summary()["median m"]) < 0.3
 
 
+@pytest.mark.slow
 def test_masks_are_learnt_from_the_images_of_a_camera(survey: Survey) -> None:
     _, images = port(survey)
     for image in images:

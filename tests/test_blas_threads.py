@@ -18,6 +18,7 @@ print(said)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="the threads are asked of the loaded libraries")
 @pytest.mark.parametrize("first", ["import tiegraph, numpy, scipy.linalg", "import numpy, scipy.linalg, tiegraph"])
 def test_one_thread_whichever_is_imported_first(first):

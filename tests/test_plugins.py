@@ -34,6 +34,7 @@ def install(folder: Path, groups: dict[str, dict[str, str]]) -> None:
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
+@pytest.mark.slow
 def test_the_example_plugin_masks_the_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     survey = make_survey(tmp_path / "images", passes=("up",), frames=2, size=(160, 120))
     with pytest.raises(SettingsError, match="valid are auto, learnt.*no plug-in is installed"):

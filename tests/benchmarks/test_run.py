@@ -152,6 +152,7 @@ def noisy(metric, scale=1.0, seed=0):
     return OdometryPath(poses, segment, key, covariance, metric, 0), true
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("metric", "scale"), [(True, 1.0), (False, 3.0)])
 def test_true_sigmas_give_one_and_sigmas_too_wide_by_three_a_third(metric, scale):
     path, true = noisy(metric, scale)

@@ -246,6 +246,7 @@ def plan(images, capsys, *more):
     return code, "".join(capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_images_disk_and_time_are_said_and_nothing_is_made(images, capsys):
     code, said = plan(images, capsys)
     assert code == 0 and "images: 6" in said and "enough" in said and not (images.parent / "out").exists()

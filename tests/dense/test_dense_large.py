@@ -58,6 +58,7 @@ def slope(normals: bool) -> DepthMap:
     )
 
 
+@pytest.mark.slow
 def test_normals_take_the_memory_of_some_rows():
     assert 3000 <= max(SIZE) <= 4032  # on a drone's images the bound of disparities makes more than this no better
     depth = slope(normals=False)

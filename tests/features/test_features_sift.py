@@ -128,6 +128,7 @@ def test_masked_features_do_not_use_up_the_limit():
     assert keypoints[:, 1].max() < 120
 
 
+@pytest.mark.slow
 def test_the_features_under_a_mask_are_those_of_the_whole_image_cut_to_the_limit_last():
     image, limit = texture(480, 640), FeaturesSettings(max_features=192)
     tuning = SiftTuning(enough_free=20, enough_found=1e9)  # always doubled
@@ -148,6 +149,7 @@ def found_again(one, other):
     return np.mean([m.distance < 1.5 for m in matches])
 
 
+@pytest.mark.slow
 def test_what_is_kept_of_a_noisy_image_is_the_scene_and_not_its_noise():
     """Two photographs of a soft scene, each with its own noise."""
     scene = 100 + cv2.resize(texture(150, 200), (1600, 1200), interpolation=cv2.INTER_CUBIC) / 4

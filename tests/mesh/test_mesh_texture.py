@@ -123,6 +123,7 @@ def seams(mesh, label, pages, place, texture):
     return np.median(out)
 
 
+@pytest.mark.slow
 def test_exposures_are_levelled_across_seams(mesh, label):
     raw = painted(mesh, label, gains=GAINS, level=False, stripes=0)
     level = painted(mesh, label, gains=GAINS, stripes=0)
@@ -366,17 +367,20 @@ def test_vertices_have_the_colours_of_the_points(box):
     assert np.median(off) < 6
 
 
+@pytest.mark.slow
 def test_a_coarser_mesh_keeps_the_shape(box, tmp_path):
     coarse = made(world.cloud(), tmp_path / "scratch", faces=1500)
     assert len(coarse.corners) <= 1500 < len(box.corners) / 4
     assert np.quantile(world.distance(sampled(coarse)), 0.9) < 0.02
 
 
+@pytest.mark.slow
 def test_the_same_points_make_the_same_mesh(box, tmp_path):
     again = made(world.cloud(), tmp_path / "scratch")
     assert (again.xyz == box.xyz).all() and (again.corners == box.corners).all()
 
 
+@pytest.mark.slow
 def test_uncertain_points_end_the_surface(tmp_path):
     cloud = world.cloud()
     doubtful = cloud.xyz_m[:, 0] > 2.5
@@ -386,6 +390,7 @@ def test_uncertain_points_end_the_surface(tmp_path):
     assert made(unsure, tmp_path / "all").xyz[:, 0].max() > 3.9
 
 
+@pytest.mark.slow
 def test_points_far_away_are_bridged_or_left_out(tmp_path):
     cloud = world.cloud()
     gap = np.linalg.norm(cloud.xyz_m - [2.0, 1.5, 2.0], axis=1) < 0.15

@@ -366,6 +366,7 @@ def test_a_band_of_evidence_is_smoothed_and_interpolated_as_the_whole_lattice() 
     assert np.array_equal(count[at], counts[tuple(expected.T)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("same", [False, True])
 def test_a_lattice_that_grows_is_smoothed_and_followed_as_the_whole_of_it(same: bool) -> None:
     rng = np.random.default_rng(5)

@@ -345,6 +345,7 @@ def test_a_pass_written_anew_has_no_base() -> None:
     assert not np.any(pairs.dropped[~same] == REASONS.index("similar"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [[0, 2, 1, 3, 4, 5], [0, 2, 4, 1, 3, 5]])
 def test_a_rig_file_with_cameras_in_another_order_is_called_wrong_and_loses_few_ties(order) -> None:
     rig = ring()

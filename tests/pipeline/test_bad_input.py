@@ -92,6 +92,7 @@ def test_the_same_flags_again(runs: Run) -> None:
         runs("--coarse.method", "off", "--match.guided")
 
 
+@pytest.mark.slow
 def test_folders_without_images(refuses: Run, images: Path, tmp_path: Path) -> None:
     for name in ("empty", "texts"):
         (tmp_path / name).mkdir()
@@ -165,6 +166,7 @@ def test_masks_that_cannot_be_used_are_named_and_a_mended_one_goes_on(
     runs("--masks.folder", masks, until="masks")
 
 
+@pytest.mark.slow
 def test_rig_gnss_and_pair_files_that_do_not_fit(refuses: Run, rig: Path, tmp_path: Path) -> None:
     right = rig.read_text()
     rig.write_text(right.replace('folder = "cam1"', 'folder = "camera1"'))

@@ -144,6 +144,7 @@ def test_a_facade_is_a_map_in_another_frame(ortho):
     assert np.percentile(np.abs(rgba.astype(int) - ortho[0]), 99.9) <= 1
 
 
+@pytest.mark.slow
 def test_tiles_do_not_change_the_picture(ortho, images):
     rgba, source = made(MAP, images, size=48)
     assert (source == ortho[1]).all() and (rgba[3] == ortho[0][3]).all()

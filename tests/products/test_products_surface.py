@@ -45,6 +45,7 @@ def test_cameras_that_look_sideways_make_elevations_of_the_walls():
     assert 0.5 < found.share <= 1 and "elevation1: " in " ".join(notes)
 
 
+@pytest.mark.slow
 def test_two_banks_are_two_elevations_that_face_each_other():
     turned = transforms.rigid(np.diag([-1.0, -1.0, 1.0]), [30.0, -20.0, 0.0])
     other = WALL.cloud(0.04, seed=1)
@@ -75,6 +76,7 @@ def test_a_plane_without_points_or_length_is_an_error_that_says_where_the_points
     assert "products.plane" in str(told.value)
 
 
+@pytest.mark.slow
 def test_what_is_ordered_is_made_and_nothing_else():
     assert choose(survey(MAP), ProductsSettings(make="none"), TUNING)[0] == []
     assert [s.name for s in choose(survey(WALL), ProductsSettings(make="both"), TUNING)[0]] == ["map", "elevation1"]

@@ -285,6 +285,7 @@ def test_a_distance_of_shots_that_is_none_is_a_setting_that_is_refused(tmp_path)
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_arguments_in_any_order():
     for arguments in (
         ["im", "-o", "o"],
@@ -304,6 +305,7 @@ def test_what_is_to_be_unset_is_known_before_the_options_are_read():
     assert known.unset == ("gnss", "masks.folder") and (str(folder), str(known.out)) == ("im", "o")
 
 
+@pytest.mark.slow
 def test_an_output_without_a_name(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "im").mkdir()

@@ -342,6 +342,7 @@ def told(run):
     return Outcome()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [ReconstructionError, ChildDied, ProcessLost])
 def test_a_stage_of_which_nothing_comes_ends_no_run(error, tmp_path):
     """What needs it is left out, what can do without it and the report are made. A process that ends is tried once

@@ -439,6 +439,7 @@ def test_unequal_runs_are_called_so(runs: list[Path], tmp_path: Path) -> None:
     assert "–" in compare_runs([*runs, stopped])
 
 
+@pytest.mark.slow
 def test_lengths_of_a_model_without_scale_are_not_called_metres(runs: list[Path], tmp_path: Path) -> None:
     free = make_run(tmp_path / "free")
     world = json.loads((free / "world.json").read_text())

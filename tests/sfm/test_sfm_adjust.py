@@ -217,6 +217,7 @@ def test_an_extended_camera_projects_as_before_and_is_taken_over_with_its_model(
     assert np.array_equal(read.camera(1).params, wide.camera(1).params)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["RADIAL", "SIMPLE_RADIAL"])
 def test_free_radial_cameras_get_all_terms(tmp_path, model: str) -> None:
     """With one radial term the second is taken up by the focal length."""

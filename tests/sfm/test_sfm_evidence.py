@@ -153,6 +153,7 @@ def test_one_control_point_tells_a_datum() -> None:
     assert any(t.startswith("place ") and "datum" in t for t in found.findings.contradictions)
 
 
+@pytest.mark.slow
 def test_a_refused_point_is_not_in_the_headline_and_points_that_fit_nowhere_are_said() -> None:
     poses, scene = drive(back=True)
     given, true = control(poses, count=7)
@@ -230,6 +231,7 @@ def _recognised(world, control: Control) -> Control:
     return found.control
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.5, 1 / 3, 0.5208, 2.0])
 def test_marks_in_smaller_and_larger_copies_are_found_and_used(world, true, size: float) -> None:
     found = _recognised(world, _marked(true, size * true.marks.xy_px))
@@ -243,6 +245,7 @@ def test_marks_in_smaller_and_larger_copies_are_found_and_used(world, true, size
     assert 0.0001 < placed.control.accuracy["check"]["rmse_m"] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("orientation", [3, 6, 8])
 @pytest.mark.parametrize("size", [1.0, 0.5])
 def test_marks_in_images_as_stored_are_turned_as_exif_says(world, true, orientation: int, size: float) -> None:
@@ -269,6 +272,7 @@ def _few(true: Control) -> Control:
     return replace(true, marks=true.marks.where(twice))
 
 
+@pytest.mark.slow
 def test_random_marks_are_refused_and_that_is_a_contradiction(world, true) -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -278,6 +282,7 @@ def test_random_marks_are_refused_and_that_is_a_contradiction(world, true) -> No
             assert found.control is None and "randomly placed marks would fit as well" in said[0]
 
 
+@pytest.mark.slow
 def test_few_marks_that_are_right_are_used_and_random_ones_beside_them_are_not(world, true) -> None:
     few, rng = _few(true), np.random.default_rng(1)
     given = _marked(few, few.marks.xy_px + 2 * rng.standard_normal(few.marks.xy_px.shape))

@@ -80,6 +80,7 @@ def _by_an_antenna(truth, scene) -> tuple[Scene, np.ndarray]:
     return with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm + noise, 0.03), arm
 
 
+@pytest.mark.slow
 def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     """A ring's scale and a lever arm along its radius are one unknown: solved to the end, a prior of no lever arm took
     the arm to nothing and moved the cameras by its length."""
@@ -131,6 +132,7 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     assert lost.placed and any("pass 'down' has no position" in n for n in lost.findings.notes)
 
 
+@pytest.mark.slow
 def test_frames_that_see_no_point_do_not_end_the_process(world) -> None:
     """Their poses are constant to Ceres, and so is all that a position of theirs is compared with."""
     truth, scene = world
@@ -143,6 +145,7 @@ def test_frames_that_see_no_point_do_not_end_the_process(world) -> None:
     assert found.adjusted and 0.001 < world.error_m(placed) < 0.05
 
 
+@pytest.mark.slow
 def test_exchanged_axes_are_said_of_a_whole_model_only(world) -> None:
     """A part of a survey, or a model on few points, may be a mirror image itself: nothing is said then."""
     truth, scene = world
@@ -204,6 +207,7 @@ def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> N
     assert isinstance(_fitted(poses, turned, Measurements(firm_frames=20), RING), SimilarityFit)
 
 
+@pytest.mark.slow
 def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() -> None:
     """Not where cameras do look up and the heights tell it, nor of a part of a survey."""
     rng = np.random.default_rng(0)
@@ -329,6 +333,7 @@ def test_frames_go_where_they_are_sent(bending) -> None:
     assert 0.99 < gone < 1.01 and made.num_points3D() > 0.5 * truth.num_points3D()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma_m", "least", "most"), [(0.002, 0.9, 1.02), (5.0, -0.01, 0.05)])
 def test_positions_bend_a_model_by_as_much_as_they_are_better(bending, sigma_m, least, most) -> None:
     """The images are as sure of the largest mode of the shape as its sigma says, and are off by two of these."""
@@ -344,6 +349,7 @@ def test_positions_bend_a_model_by_as_much_as_they_are_better(bending, sigma_m, 
     assert (0.05 < ratio < 0.5) if sigma_m < 1 else (0.9 < ratio < 1.01), "the sigma says how much they told"
 
 
+@pytest.mark.slow
 def test_of_further_models_the_shape_is_computed(bending) -> None:
     truth, scene = bending
     survey = with_positions(scene, frame_centres(truth, scene), 0.05)
@@ -389,6 +395,7 @@ def test_positions_bring_the_model_back(world_georef) -> None:
         assert there["height_m"] == found.uncertainty.sigma["height_m"]
 
 
+@pytest.mark.slow
 def test_positions_that_do_not_tell_the_size_place_nothing(world_georef) -> None:
     """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
     survey = with_positions(world_georef.scene, 0.001 * np.random.default_rng(0).standard_normal((20, 3)), 5.0)

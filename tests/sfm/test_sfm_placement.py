@@ -148,6 +148,7 @@ def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frames", "scale"), [(range(5, 9), 1.0), (range(9, 14), 1.0), (range(7, 14), 1.0), (range(9, 14), 1.1)]
 )
@@ -174,6 +175,7 @@ def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames
     assert np.allclose(placed, now[sorted(moves)], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("right", ["here", "there", "nowhere"])
 def test_measured_positions_decide_between_two_places_of_a_part(world, tmp_path: Path, right: str) -> None:
     """Whatever the matches say; where positions do not reach the part, or are too poor, the matches decide."""

@@ -52,6 +52,7 @@ def _checked(
     return checked_rig(Checked(model=rigid or _rigid(model)), model, request)
 
 
+@pytest.mark.slow
 def test_a_good_rig_keeps_its_places() -> None:
     model, scene = moving_world(points=1500)
     found = _checked(model, scene)
