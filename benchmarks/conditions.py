@@ -11,8 +11,8 @@ FOLDER ...`` prints how much contrast the images below a folder show: the least,
 * ``exposure``: each image has a gain of up to so many times more or less, and a gamma between 0.5 and 2.
 * ``blur``: every image is smeared over so many pixels along its rows.
 * ``rain``: so many drops on each lens blur what is behind them and stand still.
-* ``fog``: a contrast of 1 falls to 0.05 over so many metres (the meteorological visibility); only where depth maps
-  of the truth are (``canal``, or ``canal@FOLDER`` rendered by the generator of the data sets).
+* ``fog``: a contrast of 1 falls to 0.05 over so many metres (the meteorological visibility); only where every image has
+  a depth map of the truth (``canal@FOLDER``, rendered by the generator of the data sets).
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ Image = np.ndarray
 Worse = Callable[[Image, float, np.random.Generator, np.random.Generator], Image]
 """(H, W, 3) grey levels f4 (fog: and the depth), severity, random numbers of the image and of its camera -> the same
 made worse."""
+_SKY = 0  # in the masks of the truth
 _FOG, _LAST = 190.0, 0.05  # grey levels of the fog itself; the contrast that is left at the visibility
 
 
@@ -88,9 +89,9 @@ def _rained(image: Image, drops: float, _: np.random.Generator, fixed: np.random
 
 
 def _fogged(image: Image, visible_m: float, rng: np.random.Generator, _: np.random.Generator) -> Image:
-    """The fourth channel is the depth, metres, 0 = sky."""
+    """The fourth channel is the depth, metres."""
     shown, depth_m = image[..., :3], image[..., 3:]
-    left = np.where(depth_m > 0, _LAST ** (depth_m / visible_m), 0)
+    left = _LAST ** (depth_m / visible_m)
     return left * shown + (1 - left) * _FOG + rng.normal(size=shown.shape) * _READ
 
 
@@ -130,14 +131,13 @@ def worsened(dataset: datasets.Dataset, name: str, severity: float, folder: Path
 
 
 def _depth_m(dataset: datasets.Dataset, image: str) -> np.ndarray:
-    """(H, W) f4, 0 = sky. Raises InputError where there is no map."""
-    path = (dataset.images.parent / "gt" / "depth" / image).with_suffix(".png")
-    depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if depth is None:
-        raise InputError(
-            f"{dataset.name}: no depth map {path}; fog needs the depth of the truth (--conditions without it)"
-        )
-    return depth.astype(np.float32) / 256
+    """(H, W) f4, inf = sky, 0 = the boat itself. Raises InputError where there is no map."""
+    truth = dataset.images.parent / "gt"
+    paths = [(truth / folder / image).with_suffix(".png") for folder in ("depth", "masks")]
+    depth, mask = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in paths)
+    if depth is None or mask is None:
+        raise InputError(f"{dataset.name}: fog needs {paths[0]} and {paths[1]} of the truth: omit it (--conditions)")
+    return np.where(mask == _SKY, np.inf, depth / 256).astype(np.float32)
 
 
 def main(argv: list[str] | None = None) -> int:
