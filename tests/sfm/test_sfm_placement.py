@@ -32,6 +32,7 @@ from tiegraph.sfm.placement import (
     rivals_told,
     steps_of_parts,
     suspect_frames,
+    torn_told,
 )
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
@@ -199,6 +200,20 @@ def test_measured_positions_decide_between_two_places_of_a_part(world, tmp_path:
     check, (said, sure) = _test(model, scene, tmp_path), confirmed_places([place], scene)
     assert check.dropped == [] and len(check.notes) == (right != "here") and len(said) == (right == "here")
     assert sure == (set(range(9, 14)) if right == "here" else set())
+
+
+@pytest.mark.parametrize(("agree", "torn"), [(0, False), (40, False), (60, True)])
+def test_a_frame_left_out_that_part_of_the_model_agrees_with_tells_of_a_tear(world, tmp_path, agree, torn) -> None:
+    """Frame 6 contradicts those after it by 100 matches: twice as many as agree leave it in doubt only."""
+    model, scene = world
+    found = _explained(model, scene, tmp_path)
+    votes = [np.zeros((scene.frames, scene.frames)) for _ in range(2)]
+    others = [k for k in range(scene.frames) if k != 6]
+    votes[0][others[:-1], others[1:]], votes[0][6, 5], votes[1][6, 7] = 500, agree, 100
+    found = replace(found, votes=tuple(csr_array(v) for v in votes))
+    assert found.in_doubt(found.tuning.loses).doubts.keys() == {6}
+    told = torn_told(found, [6])
+    assert len(told) == torn and all("cam0/006.jpg" in said and "may be torn" in said for said in told)
 
 
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:

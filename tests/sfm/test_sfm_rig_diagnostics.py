@@ -63,6 +63,18 @@ def test_a_good_rig_keeps_its_places() -> None:
 
 
 @pytest.mark.slow
+def test_a_rig_is_tested_though_one_of_its_cameras_sees_no_point() -> None:
+    model, scene = moving_world()
+    for k in [k for k in model.reg_image_ids() if model.image(k).camera_id == 3]:
+        for row in model.image(k).get_observation_point2D_idxs():
+            model.delete_observation(k, row)
+    found = _checked(model, scene)
+    assert found.contradictions == [] and len(found.notes) == 1
+    assert "do not show whether cam2 fires at the same time as cam0" in found.notes[0]
+    assert [row[0] for row in found.tables["rig diagnostics"]["rows"]][:2] == ["cam0", "cam1"]
+
+
+@pytest.mark.slow
 def test_a_loose_camera_is_named_with_its_size_and_let_go() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2), points=1500)
     rigid = _rigid(model)

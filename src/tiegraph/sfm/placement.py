@@ -51,8 +51,7 @@ from tiegraph.sfm.verified import (
 from tiegraph.text import some
 
 _LEAST = 5  # frames in a table
-_NAMED = 4  # frames named in a remark; the table has all
-_NAMED_RIVALS = 3  # frames named in a sentence
+_NAMED = 4  # frames named in a remark
 _LEAST_M = 0.01  # sigma of a measured position, at least
 
 
@@ -173,17 +172,14 @@ def explained(
 def leave_out_doubtful(
     model: pycolmap.Reconstruction, scene: Scene, source: MatchSource, tuning: PlacementTuning
 ) -> Findings:
-    """Test the place of every frame and remove the doubtful ones from ``model``.
-
-    If more than ``tuning.max_left_out`` of the frames are in doubt, the model fell apart: none is removed, and a
-    remark says so.
-    """
+    """Test the place of every frame and remove the doubtful ones from ``model``: none of them if they are more than
+    ``tuning.max_left_out`` of all, because the model fell apart then. A contradiction tells if it may be torn."""
     found = explained(model, scene, source.read(scene), tuning)
     confirmed = confirmed_places(part_places(found, tuning), scene)[1]
     why = {f: reason for f, reason in sorted(found.doubts.items()) if f not in confirmed}
-    said = f"{len(why)} of {scene.frames} frames"
     if not why:
         return Findings()
+    said = f"{len(why)} of {scene.frames} frames"
     if len(why) > tuning.max_left_out * scene.frames:
         many = f"{said} are at doubtful places; because they are so many, none is left out ({named(why, scene)})"
         return Findings([many])
@@ -195,8 +191,20 @@ def leave_out_doubtful(
             model.deregister_frame(frame_id)
         rows.append([names[0], reason])
         out.dropped += [(name, f"{LEFT_OUT}{reason}") for name in names]
+    out.contradictions += torn_told(found, why)
     out.tables["placement"] = {"columns": ["frame", "left out because"], "rows": rows}
     return out
+
+
+def torn_told(found: Explained, left_out: Collection[int]) -> list[str]:
+    """A sentence if some of the frames (scene indices) may be right, and frames that they agree with wrong."""
+    undecided = set(left_out) - found.in_doubt(1 / found.tuning.agrees).doubts.keys()
+    said = (
+        f"{len(undecided)} of the frames left out ({named(undecided, found.scene)}) agree with one part of the model "
+        "nearly as much as they contradict the rest: the model may be torn between the two, and its errors much "
+        "larger than stated; compare it with measured positions or control points"
+    )
+    return [said] if undecided else []
 
 
 def frame_ids(model: pycolmap.Reconstruction, scene: Scene, frame: int) -> list[int]:
@@ -240,7 +248,7 @@ def rivals_told(found: Mapping[int, Rival], scene: Scene) -> list[str]:
         for f, r in found.items()
     ]
     said = f"the matches of {len(found)} frames support a second place too; their sigmas cover both places"
-    return [f"{said} ({some(each, _NAMED_RIVALS)})"] if each else []
+    return [f"{said} ({some(each, _NAMED)})"] if each else []
 
 
 def _rival(found: Explained, frame: int) -> Rival | None:

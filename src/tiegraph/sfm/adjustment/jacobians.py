@@ -268,7 +268,7 @@ def of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sp
     rows = np.flatnonzero(seen.camera == camera)
     images, number = np.unique(seen.image[rows], return_inverse=True)
     frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
-    axes = np.stack([frame_pose(f).rotation.matrix().T for f in frames])[number]
+    axes = np.array([frame_pose(f).rotation.matrix().T for f in frames]).reshape(-1, 3, 3)[number]
     shifted = by_shift(seen, rows)
     values = np.concatenate([shifted[:, :, :3] @ axes, shifted[:, :, 3:] @ axes], axis=2)
     return _columns(seen, rows, values, np.zeros(len(rows), int), 6)
