@@ -24,6 +24,7 @@ def port(survey: Survey) -> tuple[list[str], list[np.ndarray]]:
     return names, [survey.world.render(camera, survey.cam_from_world[n])[..., ::-1].copy() for n in names]
 
 
+@pytest.mark.slow
 def test_matches_are_those_of_the_true_poses(survey: Survey) -> None:
     names, images = port(survey)
     camera = survey.rig.sensors[0].camera

@@ -16,6 +16,8 @@ import pytest
 from tiegraph.child import _main_kept_out, run_in_child
 from tiegraph.errors import InputError, ProcessLost, ReconstructionError, TiegraphError
 
+pytestmark = pytest.mark.slow
+
 
 def add_loudly(a, b, send):
     send(a)
@@ -89,7 +91,6 @@ def in_child(log, result):
     result.send(run_in_child(add_loudly, 2, 3, log=log))
 
 
-@pytest.mark.slow
 def test_a_daemonic_process_may_run_a_child(tmp_path):
     """Dask's workers are daemonic."""
     context = multiprocessing.get_context("spawn")
@@ -114,7 +115,6 @@ def test_quiet_exit_names_its_code(tmp_path):
         run_in_child(exit_quietly, log=tmp_path / "log.txt")
 
 
-@pytest.mark.slow
 def test_own_errors_keep_their_type_and_foreign_ones_are_named(tmp_path):
     with pytest.raises(InputError, match="a.png"):
         run_in_child(raise_input_error, log=tmp_path / "log.txt")
@@ -133,7 +133,6 @@ def test_error_in_the_message_handler_ends_the_child(tmp_path):
     assert _gone(int(pid_file.read_text()))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("work", ["sleep_long", "sleep_deaf"])
 def test_child_dies_with_its_parent(tmp_path, work):
     pid_file = tmp_path / "pid"

@@ -137,10 +137,12 @@ def told(tmp_path_factory):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_server_is_started_once_where_it_is_allowed(told):
     assert (told["before"], told["started"], told["again"], told["anew"]) == (False, True, False, True)
 
 
+@pytest.mark.slow
 def test_helpers_are_forked_with_what_was_loaded_and_send_and_print_as_others(told):
     assert told["helper"]["parent"] == told["server"]
     assert told["helper"]["known"] == [7, 8]
@@ -148,6 +150,7 @@ def test_helpers_are_forked_with_what_was_loaded_and_send_and_print_as_others(to
     assert told["spawned"] == []  # without a server: a new interpreter
 
 
+@pytest.mark.slow
 def test_nothing_else_of_the_command_line_is_left_in_server_and_helper(told):
     for files in (told["server_files"], told["helper"]["files"]):
         assert files and not any(name.endswith(("mine.txt", "other.txt")) for name in files)
@@ -155,16 +158,19 @@ def test_nothing_else_of_the_command_line_is_left_in_server_and_helper(told):
     assert told["helper"]["handlers"] == 0 and told["helper"]["deaf"] and told["helper"]["term"]
 
 
+@pytest.mark.slow
 def test_how_a_helper_ends_is_told(told):
     assert "SIGABRT" in told["aborted"]
     assert "ended from outside (signal SIGKILL)" in told["lost"] and told["gone"]
 
 
+@pytest.mark.slow
 def test_workers_are_forked_too_and_their_time_counts(told):
     assert told["squares"] == [[k * k + 1, told["second_server"]] for k in range(6)]
     assert 0.5 <= told["counted_s"] < 5
 
 
+@pytest.mark.slow
 def test_server_and_helper_end_with_the_command_line(tmp_path):
     with subprocess.Popen(command("left_alone", tmp_path), stdout=subprocess.PIPE, text=True) as process:
         pids = [int(word) for word in process.stdout.readline().split()]
@@ -190,6 +196,7 @@ def _runs(pid):
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lacking", "forks"), [("", True), ("no_such_name", False)])
 def test_a_python_that_lacks_what_is_taken_from_inside_it_spawns(lacking, forks):
     inside = f"forking._INSIDE = ((forking.util, {lacking!r}),)" if lacking else ""

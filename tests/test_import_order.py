@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 
 def _run(code: str) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -19,7 +21,6 @@ def test_png_can_be_written_after_tiegraph_and_pycolmap_are_imported(tmp_path):
     assert target.stat().st_size > 0
 
 
-@pytest.mark.slow
 def test_a_child_starts_without_what_few_functions_need():
     """Every child and worker of every run pays for what is loaded at its start; these would cost 0.4 CPU s more."""
     done = _run("import sys, tiegraph.pipeline.sparse; print(*sys.modules)")
@@ -28,7 +29,6 @@ def test_a_child_starts_without_what_few_functions_need():
     assert "scipy.spatial" in loaded and not few & loaded, done.stderr
 
 
-@pytest.mark.slow
 def test_a_child_starts_without_validators_that_it_does_not_need():
     """Constants are built at first use, each class once: as the default of a field it would be built at import."""
     code = "import tiegraph.project.settings as s; print(s.Settings.__pydantic_complete__, end=' '); s.Settings()"

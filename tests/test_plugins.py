@@ -49,6 +49,7 @@ def test_the_example_plugin_masks_the_images(tmp_path: Path, monkeypatch: pytest
     assert len(masks) == 4 and all(m[:113].all() and not m[113:].any() for m in masks)
 
 
+@pytest.mark.slow
 def test_another_version_of_a_plugin_makes_the_stage_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     survey = make_survey(tmp_path / "images", passes=("up",), frames=1, size=(64, 48))
     install(tmp_path, {"tiegraph.masks": {"caption": "tiegraph_caption:SOURCE"}})

@@ -138,6 +138,7 @@ def test_stages_settings_and_verbs_have_one_name():
         assert set(stage.needs) <= set(names[:k]), f"{stage.name} needs something later"
 
 
+@pytest.mark.slow
 def test_engines_do_not_know_the_house():
     done = subprocess.run(
         [Path(sys.executable).with_name("lint-imports")], cwd=ROOT, capture_output=True, text=True, check=False
@@ -165,6 +166,7 @@ def test_executors_live_in_one_place(module):
             assert path.relative_to(ROOT / "src" / "tiegraph").as_posix() in allowed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [["ruff", "check", "."], ["ruff", "format", "--check", "."]], ids=" ".join)
 def test_linters_are_content(command):
     tool = Path(sys.executable).with_name(command[0])

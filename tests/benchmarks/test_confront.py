@@ -299,6 +299,7 @@ def test_positions_survive_their_file(tmp_path: Path) -> None:
     assert np.allclose(back, given.positions.enu_m, atol=1e-3) and np.allclose(again.sigma_m, 0.02)
 
 
+@pytest.mark.slow
 def test_early_stages_of_the_clean_run_count_as_made_here(tmp_path: Path) -> None:
     """A fault of positions: the tool itself then holds everything but georef for up to date."""
     from tiegraph.pipeline import STAGES

@@ -86,6 +86,7 @@ def test_canal_gives_the_method_sensors_and_no_truth(name: str, data: Path, tmp_
     assert 0.01 < difference_deg < 3, "nominal is near the truth, and is not the truth"
 
 
+@pytest.mark.slow
 def test_the_shipped_example_stands_for_canal_demo(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that the papers' tables are made by one command without any other data."""
     wanted = datasets.load("canal_demo", tmp_path / "data")

@@ -402,6 +402,7 @@ def test_a_checkerboard_is_numbered_alike_however_it_is_turned():
     assert len(kinds) == 1
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_there_is_no_board():
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
     for text in ("charuco:9x7:0.03:0.022", "checker:9x6:0.02"):

@@ -20,6 +20,7 @@ from tiegraph.pipeline.calibrate import check_wide
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
+pytestmark = pytest.mark.slow
 WORDS = "charuco:18x13:0.018:0.0115:4X4_250"
 BOARD = read_board(WORDS)
 SIZE = (960, 720)
@@ -53,7 +54,6 @@ def made(survey):
     return survey
 
 
-@pytest.mark.slow
 def test_a_rendered_rig_is_calibrated_to_the_truth(made):
     """Focal lengths to 0.05 %, turns to 0.01 degrees, places to 0.1 mm."""
     (rig,), true = read_rig_file(made / "rig.toml", ScanTuning().rig), truth()
@@ -73,7 +73,6 @@ def test_a_rendered_rig_is_calibrated_to_the_truth(made):
         assert sensor.sigma_m is not None and 0.1 * place < np.sqrt(3) * sensor.sigma_m < 2e-4
 
 
-@pytest.mark.slow
 def test_the_other_files_say_the_same(made):
     folder = made / "rig_calibration"
     (rig,), (other,) = (read_rig_file(p, ScanTuning().rig) for p in (made / "rig.toml", folder / "rig_config.json"))
@@ -91,7 +90,6 @@ def test_the_other_files_say_the_same(made):
     assert len(rows) == 1 + 3 * 8 + 2 * 6
 
 
-@pytest.mark.slow
 def test_scan_takes_the_rig_as_it_is_written(made, tmp_path):
     out = tmp_path / "run"
     shutil.copytree(made / "images", tmp_path / "images")
@@ -175,7 +173,6 @@ def test_wide_cameras_must_be_there_and_not_all():
 SAMPLES = Path(os.environ.get("OPENCV_SAMPLES", "/usr/share/doc/opencv-doc/examples/data"))
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not (SAMPLES / "left01.jpg").exists(), reason="Debian's opencv-doc is not there (OPENCV_SAMPLES)")
 def test_a_real_stereo_head_is_calibrated_to_a_seventh_of_a_pixel(capsys, tmp_path):
     """Its board was trimmed: windows that reach over the edge made it a third of a pixel."""

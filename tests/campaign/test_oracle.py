@@ -190,6 +190,7 @@ def test_summaries_differ_by_images_places_length_and_points() -> None:
     assert "points" in compare.outcome_differences(clean, {**clean, "points": 970}, 1e-4, 0.02)[0]
 
 
+@pytest.mark.slow
 def test_every_rule_changes_the_file_or_says_that_it_does_not_fit(tmp_path: Path) -> None:
     import random
 
@@ -209,6 +210,7 @@ def test_every_rule_changes_the_file_or_says_that_it_does_not_fit(tmp_path: Path
         assert changed >= 3 or rule is mutate.unreadable or rule is mutate.structure, rule.__name__
 
 
+@pytest.mark.slow
 def test_what_was_said_needs_a_word_of_its_own() -> None:
     ended = Ended(0, None, "           . position 3 is far off\n           . 5 compositions", False)
     assert oracle.said(ended.text, "", ("position",)) == [". position 3 is far off"]

@@ -53,6 +53,7 @@ def loaded(*arguments: str) -> set[str]:
     return set(done.stderr.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", ["--help", "--version", "rum", "run --help"])
 def test_what_needs_no_engine_loads_none(arguments):
     assert not loaded(*arguments.split()) & HEAVY
@@ -120,6 +121,7 @@ def test_which_arguments_ask_for_the_page():
     assert not wants_page(["--help", "--help-all"])
 
 
+@pytest.mark.slow
 def test_the_package_can_be_run():
     done = python("-m", "tiegraph", "--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"tiegraph {tiegraph.__version__}\n", "")
@@ -150,6 +152,7 @@ def asked(monkeypatch):
     return calls
 
 
+@pytest.mark.slow
 def test_language_is_the_setting_and_pdf_prints_after_the_stage(asked, tmp_path, capsys):
     assert forms.report([str(tmp_path), "--language", "ja", "--pdf"]) == 0
     assert asked == [
@@ -197,6 +200,7 @@ def judged(tmp_path, monkeypatch, capsys):
     return say
 
 
+@pytest.mark.slow
 def test_coverage_judges_the_chosen_pairs_too(judged):
     code, said = judged(RING, RING)
     assert code == 0 and said.count("no place depends on a single link") == 2
@@ -206,6 +210,7 @@ def test_coverage_judges_the_chosen_pairs_too(judged):
     assert "weak links of the pairs that the design chose" in said and "weak links of the candidate" not in said
 
 
+@pytest.mark.slow
 def test_coverage_as_json(judged):
     code, said = judged(RING, CHAIN, "--json")
     told = json.loads(said)
@@ -214,6 +219,7 @@ def test_coverage_as_json(judged):
     assert len(told["chosen"]["weak_links"]["rows"]) == 5 and told["weak_links"]["rows"] == []
 
 
+@pytest.mark.slow
 def test_coverage_judges_by_the_matches_of_previews_too(judged):
     """All pairs of four photographs are sound by themselves; the last one shares 40 points with the first and what
     noise has with the others. Of the pairs that the design chose the one of the 40 is not: these are worse.
@@ -260,6 +266,7 @@ def test_images_disk_and_time_are_said_and_nothing_is_made(images, capsys):
     assert more["model_bytes"] < row["model_bytes"] and more["dense_bytes"] == row["dense_bytes"]
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_too_small_is_said(images, capsys, monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 10**6, 10**6))
@@ -277,6 +284,7 @@ def test_what_is_there_already_counts(images, capsys):
     assert forecast._size(run) == 10**6
 
 
+@pytest.mark.slow
 def test_frames_of_videos_are_counted_by_scan(images, capsys):
     (images / "drive.mp4").write_bytes(b"none is looked at")
     code, said = plan(images, capsys)
@@ -403,6 +411,7 @@ def test_help_all_of_run_has_every_option(said):
     assert len(text.splitlines()) > 4 * SCREEN[0] and text == said("run", "--help-all", "--help")
 
 
+@pytest.mark.slow
 def test_help_of_a_stage_has_its_own_settings_and_help_all_those_of_all(said):
     text = said("dense", "--help")
     assert settings("dense") <= options(text) and "tiegraph dense --help-all" in text
@@ -411,6 +420,7 @@ def test_help_of_a_stage_has_its_own_settings_and_help_all_those_of_all(said):
     assert settings() <= options(said("dense", "--help-all"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "option", "more", "given", "other"),
     [
@@ -425,17 +435,20 @@ def test_help_shows_the_other_form_of_a_verb(said, verb, option, more, given, ot
     assert option not in options(said(other, "--help"))
 
 
+@pytest.mark.slow
 def test_help_of_evaluate_shows_both_forms(said):
     assert "tiegraph evaluate CLOUD REFERENCE" in said("evaluate", "--help")
     assert "--distances-m" in options(said("evaluate", "a.laz", "b.laz", "--help"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, verb in VERBS.items() if verb.of != Verb.of])
 def test_verbs_of_one_page_take_help_all_too(name, said):
     first = said(name, "--help-all")
     assert first.startswith(f"usage: tiegraph {name} ")
 
 
+@pytest.mark.slow
 def test_help_keeps_square_brackets(said):
     """Libraries that colour text take [words] for orders of theirs."""
     for arguments in (("masks", "--help"), ("run", "--help-all")):
@@ -443,6 +456,7 @@ def test_help_keeps_square_brackets(said):
         assert "'tiegraph[onnx]'" in text and "[width, height]" in text and "[classes]" in text
 
 
+@pytest.mark.slow
 def test_wrong_options_name_the_page_that_lists_all(capsys, tmp_path):
     for verb, page in (("run", "--help-all"), ("dense", "--help-all"), ("compare", "--help")):
         assert main([verb, "--nonsense", "5"]) == 2
@@ -479,6 +493,7 @@ def test_two_clouds_are_judged_and_written(tmp_path: Path, capsys) -> None:
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("crs", "said"), [("EPSG:32654", True), ("EPSG:32654+6695", False)])
 def test_heights_from_another_level_are_said(tmp_path: Path, capsys, crs: str, said: bool) -> None:
     xyz = np.random.default_rng(0).uniform(0, 20, (400, 3)) + [382300.0, 3951500.0, 0.0]
@@ -509,6 +524,7 @@ def test_a_registration_is_part_of_the_result(tmp_path: Path, capsys) -> None:
     assert {m["name"]: m["value"] for m in result["metrics"]}["m3c2_median"] == pytest.approx(0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_does_not_meet_is_refused_with_a_remedy(tmp_path: Path, capsys) -> None:
     cloud, reference = las(tmp_path / "a.laz", ground(300, 0)), las(tmp_path / "b.laz", ground(300, 1), None)
     assert main(["evaluate", cloud, reference, "-o", str(tmp_path / "out")]) == 2
@@ -523,6 +539,7 @@ def test_what_does_not_meet_is_refused_with_a_remedy(tmp_path: Path, capsys) -> 
     assert "c.laz (EPSG:32654 by its header): only 0 of" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_constants_of_a_file_reach_the_comparison(tmp_path: Path, capsys) -> None:
     files = [las(tmp_path / "a.laz", ground(2000, 0)), las(tmp_path / "b.laz", ground(2000, 1))]
     (tmp_path / "own.toml").write_text("[tuning.evaluate.m3c2]\nleast_points = 2000\n")
@@ -548,6 +565,7 @@ def test_a_reference_that_is_cut_short_or_no_cloud_is_named_once(tmp_path: Path,
     assert "The cloud that counts as true" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_setting_out_of_range_is_said_without_the_words_of_pydantic(tmp_path: Path, capsys) -> None:
     assert main(["run", str(tmp_path), "--evaluate.reference-origin", "95", "0", "0"]) == 2
     said = capsys.readouterr().err

@@ -42,6 +42,7 @@ def maps(depths):
 MAPS = maps(WALLS)
 
 
+@pytest.mark.slow
 def test_overlapping_maps_become_one_even_surface(tmp_path):
     fused = fuse(list(WALLS), MAPS, tmp_path, SETTINGS, TUNING)
     cloud = fused.cloud()
@@ -61,6 +62,7 @@ def test_overlapping_maps_become_one_even_surface(tmp_path):
     assert fused.counts["points"] == len(cloud)
 
 
+@pytest.mark.slow
 def test_without_filters_and_colours_strays_stay_and_points_are_black(tmp_path):
     depth = WALLS["0"].depth_m.copy()
     depth[45, 60] = 4.0  # nothing is near it
@@ -73,6 +75,7 @@ def test_without_filters_and_colours_strays_stay_and_points_are_black(tmp_path):
     assert (filtered.xyz_m[:, 2] > 5).all() and 0 < len(filtered) < len(cloud)
 
 
+@pytest.mark.slow
 def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
     whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING)
     a = whole.cloud().xyz_m
@@ -86,6 +89,7 @@ def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
     assert (distance < 1e-9).mean() > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [{"_MERGE_ROWS": 1000}, {"_MAPS_AT_ONCE": 1, "_POINTS_AT_ONCE": 0}])
 def test_parts_and_groups_of_maps_give_the_same_points_in_bounded_memory(tmp_path, monkeypatch, limits):
     whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING)

@@ -62,6 +62,7 @@ def case(variant):
     return left, right, changes.pop("low"), changes.pop("count"), changes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [0, 1])
 @pytest.mark.parametrize("variant", range(len(VARIANTS)))
 def test_ranges_give_the_bits_of_the_native_module(gpu, variant, mode):
@@ -80,12 +81,14 @@ def test_ranges_give_the_bits_of_the_native_module(gpu, variant, mode):
         same_disparities(gpu.download(found), expected[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (5, 1), (8, 10), (7, 9)])
 def test_images_are_halved_alike(gpu, shape):
     image = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
     np.testing.assert_array_equal(gpu.download(gpu.halve(gpu.upload(image))), sgm.halve(image))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 14), (40, 33)])
 @pytest.mark.parametrize("holes", [0.0, 0.6, 0.99, 1.0])
 @pytest.mark.parametrize("limit", [12, 254])
@@ -102,6 +105,7 @@ def test_ranges_are_alike(gpu, shape, holes, limit):
         np.testing.assert_array_equal(gpu.download(found[1]), blocks)
 
 
+@pytest.mark.slow
 def test_greys_that_lie_upon_each_other_are_counted_alike(gpu):
     left, right = pair(20, 30, 40)
     disparity = np.random.default_rng(0).uniform(-15, 15, left.shape).astype(np.float32)
@@ -111,6 +115,7 @@ def test_greys_that_lie_upon_each_other_are_counted_alike(gpu):
     np.testing.assert_array_equal(found, sgm.joint_greys(left, right, disparity))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disparities", [12, 300])
 def test_the_pyramid_gives_the_same_bits(gpu, monkeypatch, disparities):
     left, right = pair(40, 60, 60 + disparities, seed=5)
@@ -124,6 +129,7 @@ def test_the_pyramid_gives_the_same_bits(gpu, monkeypatch, disparities):
     same_disparities(tsgm.match(left, right, disparities, disparities, tuning, use), expected)
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_the_device_at_once_is_matched_in_batches(gpu, monkeypatch):
     left, right, low, count, changes = case(1)
     strips = [(slice(0, 4), slice(0, 3)), (slice(2, 6), slice(1, 3)), (slice(4, 8), slice(1, 4))]
@@ -140,6 +146,7 @@ def test_what_does_not_fit_the_device_at_once_is_matched_in_batches(gpu, monkeyp
         assert launched.count("finish") == batches
 
 
+@pytest.mark.slow
 def test_costs_that_do_not_fit_a_byte_are_refused(gpu):
     left, right, low, count, changes = case(0)
     mutual = np.full((256, 256), 128, np.uint8)

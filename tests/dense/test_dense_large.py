@@ -27,6 +27,7 @@ from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import _maps, pinhole_of
 from tiegraph.scene.results import DepthMap, row_strips
 
+pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 8064, 6048
 CAMERA = CameraModel("SIMPLE_RADIAL", WIDTH, HEIGHT, (5376.0, WIDTH / 2, HEIGHT / 2, -0.02))
 SETTINGS, TUNING = DenseSettings(), Tuning()
@@ -58,7 +59,6 @@ def slope(normals: bool) -> DepthMap:
     )
 
 
-@pytest.mark.slow
 def test_normals_take_the_memory_of_some_rows():
     assert 3000 <= max(SIZE) <= 4032  # on a drone's images the bound of disparities makes more than this no better
     depth = slope(normals=False)
@@ -87,13 +87,11 @@ def test_strips_of_rows_give_the_bits_of_the_whole(monkeypatch):
     assert np.isfinite(whole[3]).mean() > 0.8
 
 
-@pytest.mark.slow
 def test_the_way_from_pixels_of_the_image_takes_the_memory_of_some_rows():
     pinhole = CameraModel("PINHOLE", *SIZE, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     assert 9 < bytes_a_pixel(lambda: _maps.__wrapped__(CAMERA, pinhole)) < 40
 
 
-@pytest.mark.slow
 def test_points_take_the_memory_of_some_rows(tmp_path):
     depth, settings = slope(normals=True), CloudSettings().unfiltered(voxel_size=0.1)
     rgb = np.zeros((*depth.depth_m.shape, 3), np.uint8)
@@ -128,7 +126,6 @@ print(json.dumps({"peak_mib": int(peak) / 1024, "size": first.depth_m.shape[::-1
 """
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system does not tell the peak")
 def test_an_image_and_its_partners_fit_a_small_machine(tmp_path):
     shift = 800

@@ -202,6 +202,7 @@ def test_strips_cover_every_row_once_and_stay_within_the_limit(monkeypatch, limi
         assert len(strips) == 1
 
 
+@pytest.mark.slow
 def test_the_volumes_stay_within_what_is_said_before(monkeypatch):
     wide = texture((480, 900))
     left, right = grey(wide[:, 200:840]), grey(wide)[:, :840]

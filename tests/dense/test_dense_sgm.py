@@ -79,6 +79,7 @@ def check_ragged(left, right, seed, *mutual, **changes):
         same(sgm.match_ragged(left, right, first, blocks, own, sgm.Workspace(), *mutual), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize("variant", range(len(VARIANTS)))
 def test_kernels_equal_the_reference(shape, variant):
@@ -86,6 +87,7 @@ def test_kernels_equal_the_reference(shape, variant):
     check_ragged(*pair(*shape, seed=1), variant, **VARIANTS[variant])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [1, 2])
 def test_mutual_information_equals_the_reference(mode):
     images = pair(7, 33, 40)
@@ -93,6 +95,7 @@ def test_mutual_information_equals_the_reference(mode):
     check_ragged(*images, 5, table(), mode=mode)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_threads_do_not_change_a_bit(kernel):
     left, right = pair(61, 150, 160, seed=4)

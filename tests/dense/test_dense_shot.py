@@ -129,6 +129,7 @@ def observed(shot: int, far: int = 300, noise: float = 3e-4) -> Seen:
     return Seen(shot, apply(invert(rig_from_wide), np.concatenate([points, behind])) / UNIT, rig_from_wide, depth)
 
 
+@pytest.mark.slow
 def test_points_on_the_surface_tell_the_unit():
     found = shot_scale([observed(0), observed(1), observed(2)])
     assert found.shots == 3 and 450 < found.points < 900  # not those that fall outside, or where the map has no depth

@@ -75,6 +75,7 @@ def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, mo
         assert len(chosen.kept()) <= count * most + 2 * count
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.integers(3, 25), st.integers(0, 120), st.integers(0, 99))
 def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, seed) -> None:
@@ -85,6 +86,7 @@ def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, 
     assert single == {(int(i), int(j)) for i, j in zip(pairs.i[before.bridge], pairs.j[before.bridge])}
 
 
+@pytest.mark.slow
 def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
     world = boat((16, 16), (1.0, 1.0))
     pairs = network_of(world.scene, world.match).pairs
@@ -118,6 +120,7 @@ def test_components_and_lonely_images_are_named() -> None:
     assert component_notes(Pairs.make([0], [1], "file"), photos(2)) == ()
 
 
+@pytest.mark.slow
 def test_a_stricter_budget_of_loss_costs_pairs() -> None:
     scene, pairs, ties = corridor()
     kept = []
@@ -129,6 +132,7 @@ def test_a_stricter_budget_of_loss_costs_pairs() -> None:
     assert len(pairs) > kept[0] > kept[1] > kept[2] >= len(scene) - 1
 
 
+@pytest.mark.slow
 def test_hybrid_predicts_less_loss_than_top_at_the_same_number_of_pairs() -> None:
     scene, pairs, ties = corridor()
     expected = expected_matches(pairs, ties, EXPECTED)
@@ -159,6 +163,7 @@ def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -
     assert 0.1 < held < 0.6
 
 
+@pytest.mark.slow
 def test_a_budget_of_pairs_is_kept_to() -> None:
     scene, pairs, ties = corridor()
     by_pairs = designed(pairs, scene, ties, budget="pairs", pairs_per_image=6)
@@ -168,6 +173,7 @@ def test_a_budget_of_pairs_is_kept_to() -> None:
     assert len(np.unique(components(too_few.pairs, len(scene)))) == 1
 
 
+@pytest.mark.slow
 def test_groups_keep_two_links_without_a_common_image() -> None:
     scene, pairs, ties = corridor()
     weak = pairs.with_(score=np.where(scene.frame[pairs.i] // 10 == scene.frame[pairs.j] // 10, 100.0, 1.0))
@@ -234,6 +240,7 @@ def test_expected_matches_follow_the_overlap() -> None:
     assert expected_matches(Pairs.make([0], [1], "file"), None, EXPECTED).tolist() == [1.0]
 
 
+@pytest.mark.slow
 def test_fewer_previews_still_give_a_good_design() -> None:
     scene, pairs, ties = corridor()
     truth = Predictor(Candidates.make(pairs.i, pairs.j, pairs.score.astype(float), ties, len(scene)), NET)

@@ -123,6 +123,7 @@ def test_pairs_across_that_were_not_looked_at_are_asked_for() -> None:
     assert not unknown_across(pairs, photos(4), previews(rings), ()).any()
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1, 14), st.integers(0, 30), st.integers(0, 999))
 def test_bridges_and_joints_are_what_their_removal_says(nodes, links, seed) -> None:
@@ -257,6 +258,7 @@ def loose(pairs: Pairs, verified: np.ndarray, count: int) -> np.ndarray:
     return (own.degree(count) < 2) | (components(own, count) > 0)
 
 
+@pytest.mark.slow
 def test_no_photograph_is_lost_to_save_pairs() -> None:
     lost, kept = [], []
     for seed in range(4):
@@ -271,6 +273,7 @@ def test_no_photograph_is_lost_to_save_pairs() -> None:
     assert 0.6 < np.mean(kept) < 0.95, "46 % by the loss alone"
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(st.integers(3, 25), st.integers(0, 200), st.integers(0, 999))
 def test_across_every_cut_the_strongest_pairs_stay_until_three_are_expected(count, edges, seed) -> None:
@@ -313,6 +316,7 @@ def test_few_pairs_are_all_matched_and_many_are_chosen_from(images, count, all_o
     assert takes_all(Pairs.make(i, j, "exhaustive"), photos(images), DesignSettings(), Tuning()) == all_of_them
 
 
+@pytest.mark.slow
 def test_where_few_pairs_are_all_matched_it_is_said() -> None:
     pairs, ties = kite(0)
     few = TUNING.model_copy(update={"few_pairs": len(pairs) / 40})

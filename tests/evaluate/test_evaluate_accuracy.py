@@ -63,6 +63,7 @@ def figures_of(match: PoseMatch, predicted: Predicted, same: bool = False) -> di
     return {f.key: f for f in pose_figures(match, found, predicted, TUNING)}
 
 
+@pytest.mark.slow
 def test_predicted_is_of_what_is_measured() -> None:
     """Independent errors of a known sigma: the vector between two cameras is off by sqrt(2) of one, the ratio is 1."""
     one = np.sqrt(3) * SIGMA
@@ -76,6 +77,7 @@ def test_predicted_is_of_what_is_measured() -> None:
     assert np.isnan(predicted.over_m(0.5)) and np.isnan(predicted.over_m(400.0))
 
 
+@pytest.mark.slow
 def test_a_model_without_scale_is_measured_in_its_own_units() -> None:
     one = np.sqrt(3) * SIGMA
     found = figures_of(line(80, scale=10.0), Predicted(inside_m=one / 10))
@@ -90,6 +92,7 @@ def test_a_bend_shows_in_the_whole_and_less_over_a_short_way() -> None:
     assert 0.05 < short < 0.2 < 0.4 < long < 1.5
 
 
+@pytest.mark.slow
 def test_layers_stand_in_order_and_each_begins_with_what_is_predicted() -> None:
     said = in_layers(Stated(PREDICTED, HELD, WORLD), figures_of(line(60), PREDICTED).values())
     layers = [f.layer for f in said.figures]
@@ -198,12 +201,14 @@ def judged(
     return against_poses(match, figures, predicted.metric, BESIDE.judge, 0.5, registered)
 
 
+@pytest.mark.slow
 def test_a_reference_that_agrees_is_no_contradiction() -> None:
     assert judged(way()) == []
     assert judged(way() + 0.002 * np.random.default_rng(2).standard_normal((60, 3))) == []
     assert judged(way() * [1, 0.001, 1], predicted=Predicted()) == []  # nothing predicted, nothing said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reference", "why"),
     [
@@ -220,6 +225,7 @@ def test_what_is_wrong_with_a_reference_is_named(reference: np.ndarray, why: str
     assert "predicted" in text and "mm" in text.split("predicted")[1] and "chance does once in 1000" in text
 
 
+@pytest.mark.slow
 def test_a_torn_model_makes_no_mirror_image_of_the_reference() -> None:
     """Nor is anything named that hardly explains the error."""
     (text,) = judged(way() * [1, 1, -1], registered=0.6)
@@ -228,6 +234,7 @@ def test_a_torn_model_makes_no_mirror_image_of_the_reference() -> None:
     assert "mirror" not in text and "one of the two is wrong" in text
 
 
+@pytest.mark.slow
 def test_a_lag_is_named_with_its_time() -> None:
     s = np.linspace(0, 60, 60) ** 1.0 * 2 / 3
     speed = 1 + 0.6 * np.sin(np.arange(60) / 7)
@@ -237,12 +244,14 @@ def test_a_lag_is_named_with_its_time() -> None:
     assert "times are off by" in text and "frames (" in text
 
 
+@pytest.mark.slow
 def test_a_shift_on_the_earth_is_said_apart() -> None:
     assert judged(way() + [0.03, 0.0, 0.0], same=True) == []
     (text,) = judged(way() + [0.0, 1.5, 0.0], same=True)
     assert "on the Earth" in text and "-1.50 m north" in text
 
 
+@pytest.mark.slow
 def test_a_cloud_farther_than_predicted(tmp_path) -> None:
     def said(cloud: np.ndarray) -> Figure:
         clouds = tiled(cloud, wall, tmp_path)

@@ -85,6 +85,7 @@ def test_tiles_give_what_all_pairs_give(tmp_path: Path, tile_points: int) -> Non
     assert len(written) == found.whole.points and np.median(written) == pytest.approx(median, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_same_cloud_is_perfect_and_distances_fit_it(tmp_path: Path) -> None:
     found = judged(quay(), quay(), tmp_path)
     assert found.criteria.distances_m == (0.05, 0.1, 0.2, 0.5)  # its points are 3 cm apart
@@ -99,6 +100,7 @@ def test_distances_follow_the_gsd(tmp_path: Path) -> None:
     assert criteria_of(clouds, CLOUD, (0.3, 0.1), gsd_m=0.005).distances_m == (0.1, 0.3)
 
 
+@pytest.mark.slow
 def test_half_a_cloud_is_accurate_and_half_complete(tmp_path: Path) -> None:
     whole = quay()
     found = judged(whole[whole[:, 0] < 5], whole, tmp_path, (0.05,)).whole
@@ -106,6 +108,7 @@ def test_half_a_cloud_is_accurate_and_half_complete(tmp_path: Path) -> None:
     assert 0.65 < found.fscore[0] < 0.71
 
 
+@pytest.mark.slow
 def test_only_the_reference_near_the_cameras_counts_and_groups_are_told(tmp_path: Path) -> None:
     whole = quay()
     cameras = Cameras(np.array([[0.0, 2.0, 1.5], [9.0, 2.0, 1.5]]), ("open", "bridge"))
@@ -118,6 +121,7 @@ def test_only_the_reference_near_the_cameras_counts_and_groups_are_told(tmp_path
         judged(whole, whole, tmp_path, (0.05,), cameras=Cameras(cameras.centres + 1000, ("a", "a")), range_m=7.0)
 
 
+@pytest.mark.slow
 def test_ghosts_are_where_the_reference_observed_only(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     inside = rng.uniform([1, 1, 1.5], [9, 3, 3], (1000, 3))  # in the air above the floor
@@ -222,6 +226,7 @@ def test_it_is_py4dgeo() -> None:
     assert lod == pytest.approx(uncertain["lodetection"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_tiles_change_nothing(tmp_path: Path) -> None:
     one, two = quay(3000, 0, 0.01), quay(3000, 1, 0.01)
     found = [differences(one, two, tmp_path, LENGTHS, tile_points=n) for n in (2_000_000, 400)]
@@ -309,6 +314,7 @@ def test_a_moved_cloud_comes_back_with_an_honest_sigma(scale: float) -> None:
     )
 
 
+@pytest.mark.slow
 def test_what_slides_or_does_not_meet_is_refused() -> None:
     corner = room(0)
     wall = corner[:4000]
@@ -480,6 +486,7 @@ def made(scene: Scene, model: pycolmap.Reconstruction, cloud: Cloud | None = Non
     return Products(model=model, images=images, cloud=None if cloud is None else points_of(cloud.xyz_m), **more)
 
 
+@pytest.mark.slow
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     scene = make_scene()
     make_model(scene).write_text(tmp_path)
@@ -499,6 +506,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     assert [m["name"] for m in bare["metrics"]] == ["registered_images", "images_by_rig"]
 
 
+@pytest.mark.slow
 def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     """A model in UTM beside a reference in local metres: the absolute error is that of the model, not of the frames."""
     place = (35.6965, 139.7695, 37.0)
@@ -516,6 +524,7 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
 
 
+@pytest.mark.slow
 def test_a_cloud_whose_header_names_no_crs_is_in_that_of_the_run(tmp_path: Path) -> None:
     """Coordinates of the run's own files; beside local metres about an origin, a CRS in the header holds; a geoid."""
     world = geodesy.make_origin(35.6965, 139.7695, 37.0)

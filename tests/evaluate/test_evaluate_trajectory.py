@@ -47,6 +47,7 @@ def test_a_similarity_is_no_error_but_its_scale_shows() -> None:
     assert result.within == 1.0 and result.absolute is None
 
 
+@pytest.mark.slow
 def test_a_model_that_nothing_told_the_scale_of_has_no_error_of_scale() -> None:
     match = matched(moved(river(120), 0.4), river(120))
     match = replace(match, parts={"pass": np.full(120, "up")})
@@ -63,6 +64,7 @@ def test_a_model_that_nothing_told_the_scale_of_has_no_error_of_scale() -> None:
     assert "relative pose error" not in loose.tables() and "yaw_drift" not in {m.name for m in loose.metrics()}
 
 
+@pytest.mark.slow
 def test_noise_comes_out_as_it_went_in() -> None:
     truth = river(400)
     noisy = truth.copy()
@@ -81,6 +83,7 @@ def test_one_wrong_image_counts_in_ate_but_not_for_the_others() -> None:
     assert result.sim3.max_m > 20 and result.within == pytest.approx(59 / 60)
 
 
+@pytest.mark.slow
 def test_yaw_drift_is_read_per_100_m() -> None:
     truth = river(120)
     turn = Rotation.from_rotvec(np.outer(np.radians(0.02 * np.arange(120)), [0, 0, 1])).as_matrix()
@@ -91,6 +94,7 @@ def test_yaw_drift_is_read_per_100_m() -> None:
     assert np.isnan(evaluate_trajectory(matched(truth[:4], truth[:4]), (1.0,), TUNING).yaw_drift_deg_per_100m)
 
 
+@pytest.mark.slow
 def test_each_pass_and_section_is_judged_by_itself() -> None:
     """Up without error, down with a drift of the heading and 0.3 m of noise where it is below the bridge."""
     truth = np.concatenate([river(100), river(100)[::-1]])
@@ -117,6 +121,7 @@ def test_each_pass_and_section_is_judged_by_itself() -> None:
     assert 15 < rows["1"]["path m"] < 25
 
 
+@pytest.mark.slow
 def test_absolute_error_sees_the_shift() -> None:
     shifted = river()
     shifted[:, :3, 3] += [0.3, 0, 0.4]
@@ -196,6 +201,7 @@ def rows(result: dict) -> dict[str, list]:
     return {row[0]: row[1:] for row in result["figures"]["rows"]}
 
 
+@pytest.mark.slow
 def test_equal_registration_is_a_plain_speed_up() -> None:
     result = compare_sides(*sides(), ["0"] * 40)
     (said,) = result["speed_up"]
@@ -207,6 +213,7 @@ def test_equal_registration_is_a_plain_speed_up() -> None:
     assert found["sigma of a position, median, m"][:2] == pytest.approx([0.008, 0.008], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_speed_up_names_the_images_that_are_lost() -> None:
     ours, theirs, reference = sides(lost=10)
     section = ["open"] * 20 + ["bridge"] * 20
@@ -221,6 +228,7 @@ def test_a_speed_up_names_the_images_that_are_lost() -> None:
     assert "tiegraph loses 2" in both["speed_up"][0]
 
 
+@pytest.mark.slow
 def test_a_bent_model_registers_all_and_is_not_called_equal() -> None:
     ours, theirs, reference = sides(bent_m=8.0)
     result = compare_sides(ours, theirs, reference, ["0"] * 40)

@@ -37,6 +37,7 @@ from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.results import Cloud
 
+pytestmark = pytest.mark.slow
 IMAGES = 4 * FRAMES
 
 
@@ -101,7 +102,6 @@ def check_started(made, folder, names, prefix="", model=""):
     return poses, cameras
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("world", ["made", "fisheye"])
 def test_nerfstudio(world, request, tmp_path):
     made = request.getfixturevalue(world)
@@ -135,7 +135,6 @@ def test_nerfstudio(world, request, tmp_path):
     assert np.allclose(said, sorted(p.xyz.tolist() for p in made.model.points3D.values()), atol=1e-5)
 
 
-@pytest.mark.slow
 def test_nerfstudio_undistorts_what_it_does_not_know(tmp_path):
     made = finished(tmp_path, ("FULL_OPENCV", "OPENCV_FISHEYE"))
     shutil.rmtree(made.project.folder / "depth")  # before `dense`
@@ -147,7 +146,6 @@ def test_nerfstudio_undistorts_what_it_does_not_know(tmp_path):
     assert {c.model_name for c in cameras.values()} == {"OPENCV"}  # one model a file: the fisheye's too
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name, names", [("colmap", str), ("gsplat", flat), ("openmvs", flat)])
 def test_folders_of_colmap(made, tmp_path, name, names):
     folder = exported(made, tmp_path, name)
@@ -177,7 +175,6 @@ def test_folders_of_colmap(made, tmp_path, name, names):
         assert mask.all() == all(part in image.name for part in NOTHING)
 
 
-@pytest.mark.slow
 def test_images_of_pinhole_cameras_are_copied(tmp_path):
     made = finished(tmp_path, ("PINHOLE", "PINHOLE"))
     turned = tmp_path / "images" / made.scene.names[0]
@@ -195,7 +192,6 @@ def test_images_of_pinhole_cameras_are_copied(tmp_path):
     check_started(made, folder, flat)
 
 
-@pytest.mark.slow
 def test_bundler(made, tmp_path):
     folder = exported(made, tmp_path, "bundler")
     lines = iter((folder / "bundle.out").read_text().splitlines()[1:])
@@ -225,7 +221,6 @@ def test_bundler(made, tmp_path):
     assert len(off) > 100 and np.percentile(np.linalg.norm(off, axis=1), 95) < 0.1
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("world", ["made", "fisheye"])
 def test_opensfm(world, request, tmp_path):
     made = request.getfixturevalue(world)
@@ -252,7 +247,6 @@ def test_opensfm(world, request, tmp_path):
     assert np.abs(np.stack(level.transform(*geodetic), axis=-1) - said).max() < 0.01  # the CRS's scale: 4 in 10000
 
 
-@pytest.mark.slow
 def test_opf(made, tmp_path):
     folder = exported(made, tmp_path, "opf")
     command = [sys.executable, "-m", "opf_tools.opf2colmap", folder / "project.opf", "--out-dir", folder / "sparse"]
@@ -285,7 +279,6 @@ def test_opf(made, tmp_path):
     assert len(xyz) == len(tracks.color) and len(xyz) > 0.6 * made.model.num_points3D()
 
 
-@pytest.mark.slow
 def test_opf_of_worlds_without_a_crs_and_with_north_first(tmp_path):
     for name, origin in (("free", None), ("japan", replace(ORIGIN, crs="EPSG:6677"))):
         folder = tmp_path / name
@@ -296,7 +289,6 @@ def test_opf_of_worlds_without_a_crs_and_with_north_first(tmp_path):
         assert swapped == (name == "japan") and crs.is_engineering == (name == "free")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("world", ["made", "fisheye"])
 def test_metashape(world, request, tmp_path):
     made = request.getfixturevalue(world)
@@ -346,7 +338,6 @@ def test_what_an_export_refuses(made, tmp_path):
         tiegraph.open(tmp_path, tmp_path / "none").export(tmp_path / "d", "colmap")
 
 
-@pytest.mark.slow
 def test_an_image_that_is_gone_is_named(tmp_path):
     made = finished(tmp_path)
     (tmp_path / "images" / made.scene.names[3]).unlink()
@@ -508,7 +499,6 @@ def test_geojson_is_in_degrees_and_leads_back_to_the_crs(made, tmp_path):
     assert all(t["geometry"]["coordinates"] == [at[t["properties"][k]] for k in "ab"] for t in ties)
 
 
-@pytest.mark.slow
 def test_gpkg_is_in_the_crs_and_has_styles(made, tmp_path):
     raw = pytest.importorskip("pyogrio.raw")
     assert made.project.export(tmp_path / "out", "gpkg") == 4 * FRAMES
@@ -532,7 +522,6 @@ def test_gpkg_is_in_the_crs_and_has_styles(made, tmp_path):
         assert root.tag == "qgis" and root.find("renderer-v2/symbols/symbol/layer") is not None
 
 
-@pytest.mark.slow
 def test_a_world_without_crs_is_in_degrees_too(tmp_path):
     made = finished(tmp_path, origin=Origin(35.0, 139.0, 12.0))
     made.project.export(tmp_path / "map", "geojson")
@@ -545,7 +534,6 @@ def test_a_world_without_crs_is_in_degrees_too(tmp_path):
         )
 
 
-@pytest.mark.slow
 def test_what_a_map_refuses(tmp_path, monkeypatch, made):
     free = finished(tmp_path, origin=None)
     for name in ("geojson", "gpkg"):

@@ -22,6 +22,7 @@ from tiegraph.mesh.surface import Mesh, ply_of
 from tiegraph.scene.copc import copc_nodes, write_copc
 from tiegraph.scene.results import Cloud
 
+pytestmark = pytest.mark.slow
 Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # what a viewer of tiles does with glTF
 
 
@@ -193,7 +194,6 @@ def write_mesh(folder):
     return mesh
 
 
-@pytest.mark.slow
 def test_the_mesh_in_levels_of_detail(project, tmp_path, monkeypatch):
     mesh = write_mesh(project.folder / "mesh")
     monkeypatch.setattr(levels, "MOST", 1200)  # of 4000 faces

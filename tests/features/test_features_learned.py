@@ -23,6 +23,8 @@ from tiegraph.scene.onnxfile import session
 from tinyonnx import corners, model, node
 from worlds import make_survey
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def tiny(tmp_path):
@@ -111,7 +113,6 @@ def test_files_that_cannot_be_used_are_refused(tmp_path, tiny, monkeypatch):
         network(tiny)
 
 
-@pytest.mark.slow
 def test_a_run_with_a_network(tmp_path, tiny):
     survey = make_survey(tmp_path / "images", passes=("up",), frames=3)
     broken = tmp_path / "broken.onnx"

@@ -199,6 +199,7 @@ def test_watermarks_are_struck_out(tmp_path):
     assert [column[0] for column in match_counts(path, pairs)] == [20, 0, geometry.config]
 
 
+@pytest.mark.slow
 def test_a_block_that_ends_its_process_is_left_away_and_the_others_are_done(tmp_path, monkeypatch):
     path = filled_database(tmp_path / "database.db", scene())
     asked, tried = listed(), []

@@ -50,6 +50,7 @@ def texture(height=240, width=320, seed=1):
     return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
 
 
+@pytest.mark.slow
 @engines
 def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
     image, places, sigmas = blobs()
@@ -63,6 +64,7 @@ def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
     assert descriptors.shape == (len(keypoints), 128)
 
 
+@pytest.mark.slow
 @engines
 def test_shrunk_images_give_positions_of_the_full_image(extract):
     image, places, _ = blobs((360, 401))
@@ -73,6 +75,7 @@ def test_shrunk_images_give_positions_of_the_full_image(extract):
     assert np.abs((keypoints[at, :2] / 2 - places[found]).mean(axis=0)).max() < 0.03
 
 
+@pytest.mark.slow
 def test_both_engines_agree_on_orientation_and_descriptor():
     image = texture()
     ours, ours_d = extract_sift(image, None, SETTINGS, TUNING)
@@ -108,6 +111,7 @@ def test_no_support_reaches_into_the_mask(extract):
     assert np.all(margin > TUNING.support_sigmas * keypoints[:, 2] - 1)
 
 
+@pytest.mark.slow
 @engines
 def test_few_features_are_all_kept_that_lie_on_free_pixels(extract):
     image = texture()
@@ -119,6 +123,7 @@ def test_few_features_are_all_kept_that_lie_on_free_pixels(extract):
     assert len(keypoints) == len(descriptors) == inside.sum() > 20
 
 
+@pytest.mark.slow
 def test_masked_features_do_not_use_up_the_limit():
     image = texture()
     mask = np.zeros(image.shape, bool)
@@ -166,6 +171,7 @@ def test_images_keep_features_in_proportion_to_their_pixels():
     assert most.tolist() == [4096, 4096, 8192, 12288, 12288]
 
 
+@pytest.mark.slow
 @engines
 def test_blank_or_fully_masked_images_give_none(extract):
     for image, mask in ((np.full((90, 120), 7, np.uint8), None), (texture(), np.zeros((240, 320), bool))):
@@ -174,6 +180,7 @@ def test_blank_or_fully_masked_images_give_none(extract):
         assert descriptors.shape == (0, 128) and descriptors.dtype == np.uint8
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_the_order():
     before, found = cv2.getNumThreads(), []
     try:
@@ -235,6 +242,7 @@ def test_contrast_is_what_a_tenth_of_the_blocks_show(levels: float) -> None:
     assert contrast(np.full((480, 640), 77, np.uint8), DIM.contrast) == 0
 
 
+@pytest.mark.slow
 def test_only_what_shows_little_is_evened() -> None:
     clear, dim = view(20), view(4)
     assert evened(clear, DIM.contrast) is clear
@@ -243,6 +251,7 @@ def test_only_what_shows_little_is_evened() -> None:
     assert evened(dim, never) is dim
 
 
+@pytest.mark.slow
 def test_dim_images_are_tied_by_their_texture_and_not_by_their_noise() -> None:
     """As it is a dim view shows a handful of features; evened it has hundreds, and they move as the texture did."""
     asked = FeaturesSettings()
@@ -255,6 +264,7 @@ def test_dim_images_are_tied_by_their_texture_and_not_by_their_noise() -> None:
     assert len(good) > 150 and np.mean(np.linalg.norm(moved - [24, 0], axis=1) < 1.5) > 0.8
 
 
+@pytest.mark.slow
 def test_a_preview_of_a_dim_image_has_features_and_the_brightness_of_the_image_itself() -> None:
     dim = view(3)
     found = extract_preview(dim, None, PreviewSettings(), DIM)

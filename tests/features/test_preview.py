@@ -54,6 +54,7 @@ def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return view(paper, np.eye(3), (0, 0, 0)), view(paper, turn, (0.6, 0.1, 0)), turn
 
 
+@pytest.mark.slow
 def test_two_views_of_one_place_match_with_their_rotation_and_shift(views) -> None:
     a, b = (preview(v) for v in views[:2])
     found = matched(a, b)
@@ -74,6 +75,7 @@ def test_unrelated_images_stay_at_chance() -> None:
     assert max(counts) < 20 and np.median(counts) < 13
 
 
+@pytest.mark.slow
 def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
     mask = np.zeros((480, 640), bool)
     mask[:, :320] = True

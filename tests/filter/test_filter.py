@@ -34,6 +34,7 @@ def _shares(result, false):
     return kept[~false].mean(), kept[false].mean()
 
 
+@pytest.mark.slow
 def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
     result, false = repeated.run(tmp_path)
     true_kept, false_kept = _shares(result, false)
@@ -47,6 +48,7 @@ def unknown(scene):
     return scene.with_(rigs=(replace(rig, sensors=tuple(replace(s, sensor_from_rig=None) for s in rig.sensors)),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", ["wide", "turned", "unknown"])
 def test_another_rig_loses_nothing(rig, repeated, tmp_path):
     """An unknown one goes by loops of images."""
@@ -56,6 +58,7 @@ def test_another_rig_loses_nothing(rig, repeated, tmp_path):
     assert true_kept >= 0.99 and false_kept <= 0.1
 
 
+@pytest.mark.slow
 def test_wrong_focal_lengths_refuse_nothing_and_are_told_of(repeated, tmp_path):
     rig = repeated.scene.rigs[0]
     camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[768, 768, 320, 240])
@@ -78,6 +81,7 @@ def test_off_keeps_all_and_a_missing_database_is_named(repeated, tmp_path):
         filter_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), Tuning(), serial)
 
 
+@pytest.mark.slow
 def test_same_input_same_result(tmp_path):
     made = add_repeats(world(frames=4, sensors=3))
     a, b = (made.run(tmp_path)[0] for _ in range(2))
@@ -151,6 +155,7 @@ def rig_poses(blind: list[int], frames: int = 5) -> tuple:
     return scene, Prior(np.stack(poses), reach)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong_deg", [0.0, 40.0])
 def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_for_it(tmp_path, wrong_deg) -> None:
     """Of one of seneca's photographs all six pairs went, of up to 7000 matches each: its coarse place was wrong."""
@@ -162,6 +167,7 @@ def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_f
     assert ("it has 1 images at a wrong place" in result.notes[0]) == (wrong_deg > 0)
 
 
+@pytest.mark.slow
 def test_parts_that_a_model_has_put_together_wrongly_are_not_parted_for_it(tmp_path) -> None:
     """The previews of a sea floor joined two stretches of it wrongly, and all six pairs between them went."""
     made = world(frames=20, sensors=1, cloud=800)
@@ -191,6 +197,7 @@ def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
     assert prior.tolerance_deg(ahead, back, True, own) == own
 
 
+@pytest.mark.slow
 def test_images_without_points_are_not_judged_if_their_sensor_or_frame_is_not_held() -> None:
     scene, whole = rig_poses([])
     assert held_by_rig(whole, scene, TUNING) is whole

@@ -26,6 +26,7 @@ def pose(rotvec, t):
     return transforms.rigid(Rotation.from_rotvec(rotvec / 50).as_matrix(), t)
 
 
+@pytest.mark.slow
 @given(vectors, vectors)
 @settings(max_examples=50, deadline=None)
 def test_inverses_undo_and_quaternions_come_back(rotvec, t):
@@ -52,6 +53,7 @@ def test_interpolation_is_halfway_and_respects_gaps():
     np.testing.assert_allclose(out[4], poses[1])
 
 
+@pytest.mark.slow
 @given(vectors, vectors)
 @settings(max_examples=50, deadline=None)
 def test_jacobians_of_rotation_vectors(rotvec, direction):

@@ -131,6 +131,7 @@ def test_trajectory_and_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_is_said_before_anything_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

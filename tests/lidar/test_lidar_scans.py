@@ -83,6 +83,7 @@ def test_a_scan_a_file(tmp_path: Path, form: str) -> None:
             assert scan.offset_s is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["ros1", "mcap"])
 def test_point_clouds_of_bags(tmp_path: Path, form: str) -> None:
     """PointCloud2 with padding, with times in nanoseconds from the stamp (Ouster), and NaN points."""
@@ -239,6 +240,7 @@ def test_a_straight_path_says_what_it_leaves_open() -> None:
     assert np.linalg.norm(found.rig_from_lidar[:3, 3]) < 4  # held near zero, not guessed
 
 
+@pytest.mark.slow
 def test_given_place_and_times_apart() -> None:
     rig, lidar = _both(seconds=6)
     found = hand_eye(rig, lidar, _PLACE, _CLOCK_S)
@@ -270,6 +272,7 @@ def test_points_tell_the_lever_arm_where_the_motion_does_not() -> None:
     assert better.place_sigma_m.max() < found.place_sigma_m.max()
 
 
+@pytest.mark.slow
 def test_no_tie_along_a_bare_tunnel() -> None:
     rng = np.random.default_rng(1)
     tunnel = np.concatenate([_plane(rng, axis, at) for axis in (1, 2) for at in (-6.0, 6.0)])

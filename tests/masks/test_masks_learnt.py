@@ -122,6 +122,7 @@ def test_odd_sequences_give_a_result_and_invent_nothing(tmp_path, kind):
         assert (found[SKYLINE + 10 : SHORE] == USE).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_burnt_out_areas_are_masked(tmp_path):
     images = [write(tmp_path / f"{k}.png", river(0, k)) for k in range(2)]
     image = cv2.imread(str(images[0]))
@@ -131,6 +132,7 @@ def test_burnt_out_areas_are_masked(tmp_path):
     assert (found[94:126, 104:176] == OVEREXPOSED).all()
 
 
+@pytest.mark.slow
 def test_border_of_the_sky_and_calm_sky_of_an_upward_camera():
     sky = border_sky(river(0, 0), TUNING.skyline)
     assert sky is not None and sky[: SKYLINE - 16].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
@@ -142,6 +144,7 @@ def test_border_of_the_sky_and_calm_sky_of_an_upward_camera():
     assert textureless_sky(image // 4, np.zeros(SHAPE, bool), TUNING.skyline) is None, "a dark calm area is a bridge"
 
 
+@pytest.mark.slow
 def test_pairs_tell_what_matches(boat, monkeypatch):
     found_in_both = pair_matchability((boat[0][3], boat[0][4]), TUNING.matchability)
     assert len(found_in_both) == 2
@@ -230,6 +233,7 @@ def survey():
 UP = np.array([0, 0, 1.0])
 
 
+@pytest.mark.slow
 def test_level_of_the_water_in_spite_of_wrong_first_masks(survey):
     views, points = survey
     rng = np.random.default_rng(1)

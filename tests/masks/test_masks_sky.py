@@ -232,6 +232,7 @@ def _street(fisheye):
     return image
 
 
+@pytest.mark.slow
 def test_the_sky_begins_below_the_surround_of_a_fisheye_lens():
     image = _street(fisheye=True)
     surround = (image == 0).all(axis=2)
@@ -270,6 +271,7 @@ def iou(a, b):
     return (a & b).sum() / (a | b).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["steady", "changing"])
 def test_platform_is_found_in_any_light(light):
     gains = np.linspace(0.45, 1.2, 14) if light == "changing" else np.ones(14)
@@ -278,6 +280,7 @@ def test_platform_is_found_in_any_light(light):
     assert 0.85 < iou(found, truth) <= 1 and found[~truth].mean() < 0.02
 
 
+@pytest.mark.slow
 def test_nothing_is_invented_where_everything_moves():
     """And a far skyline that shakes is no platform."""
     rng = np.random.default_rng(3)
@@ -296,6 +299,7 @@ def test_nothing_is_invented_where_everything_moves():
     assert platform_of_frames(frames, TUNING.platform).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_standing_cameras_and_short_sequences_are_refused(tmp_path):
     still = [write(tmp_path / f"still{k}.png", scenery(0)) for k in range(12)]
     assert len(different_frames(still, TUNING)) == 1
@@ -305,6 +309,7 @@ def test_standing_cameras_and_short_sequences_are_refused(tmp_path):
         assert mask is None and why in note
 
 
+@pytest.mark.slow
 def test_from_files_and_a_camera_without_platform(tmp_path):
     mask = learn_platform([write(tmp_path / f"{k}.png", scenery(k)) for k in range(9)], TUNING)[1]
     assert mask is not None and mask.shape == SHAPE and 0.15 < mask.mean() < 0.4
@@ -317,6 +322,7 @@ def test_from_files_and_a_camera_without_platform(tmp_path):
     assert learn_platform(bare, TUNING)[1:] == (None, "no platform seen")
 
 
+@pytest.mark.slow
 def test_what_is_black_in_every_frame_round_a_fisheye_image_is_no_scene():
     across, down = np.meshgrid(np.arange(SHAPE[1]) - SHAPE[1] / 2, np.arange(SHAPE[0]) - SHAPE[0] / 2)
     radius = np.hypot(across, down) / SHAPE[0]

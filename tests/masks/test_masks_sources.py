@@ -75,6 +75,7 @@ def test_contradicting_settings(tmp_path):
             MasksSettings(**wrong)
 
 
+@pytest.mark.slow
 def test_every_source_on_the_same_sequence(tmp_path):
     images = sequence(tmp_path)
     deck, scenery, sky = slice(DECK + 8, None), slice(HORIZON + 8, DECK - 8), slice(0, HORIZON - 8)
@@ -156,6 +157,7 @@ def test_views_of_a_lens_are_one_witness_of_water(monkeypatch):
 FRAMES = FramesTuning()
 
 
+@pytest.mark.slow
 def test_the_first_and_the_last_frame_are_taken_equal_or_differently_sized_ones_passed_over(tmp_path):
     a, b = two_frames(sequence(tmp_path), FRAMES)
     assert (a == grey(frame(0))).all() and (b == grey(frame(3))).all()
@@ -292,6 +294,7 @@ def test_wrong_tables_are_refused_by_name(model, text, said):
         sources.read_model(model.with_name("nowhere.toml"))
 
 
+@pytest.mark.slow
 def test_blurred_and_repeated_images_are_flagged(tmp_path):
     images = [frame(k) for k in range(9)]
     images[4] = cv2.GaussianBlur(images[4], (0, 0), 4)

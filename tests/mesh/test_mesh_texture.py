@@ -80,6 +80,7 @@ def shown(pages, place, texture, weight):
     return np.array([pages[t][y, x] for t, (x, y) in zip(texture, at)]).astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge", [4096, 256])
 def test_textures_have_the_colours_of_the_truth(mesh, label, edge):
     pages, place, texture, layout = painted(mesh, label, edge=edge, most=4 if edge > 256 else 3)
@@ -91,6 +92,7 @@ def test_textures_have_the_colours_of_the_truth(mesh, label, edge):
         assert np.mean(off < 20) > (0.93 if edge > 256 else 0.8)  # the others lie at the edge of a stripe
 
 
+@pytest.mark.slow
 def test_rectangles_do_not_overlap(mesh, label):
     bare = label.copy()
     bare[::7] = UNSEEN
@@ -131,6 +133,7 @@ def test_exposures_are_levelled_across_seams(mesh, label):
     assert before > 20 and after < before / 3
 
 
+@pytest.mark.slow
 def test_colours_that_agree_stay(mesh, label):
     layout = laid_out(mesh, label, VIEWS, 4096, 4)
     nodes = nodes_of(mesh, layout)
@@ -152,6 +155,7 @@ def colour_of(mesh):
     return world.colour(mesh.xyz)
 
 
+@pytest.mark.slow
 def test_unseen_faces_have_the_colours_of_their_vertices(mesh, label):
     bare = label.copy()
     bare[::5] = UNSEEN
@@ -193,6 +197,7 @@ def parts_of(loaded):
     return np.concatenate(corners), np.concatenate(colours).astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mesh.glb", "mesh.obj"])
 def test_other_programs_open_the_files(files, name):
     folder, mesh, pages = files
@@ -221,6 +226,7 @@ def middles(mesh):
     return mesh.xyz[mesh.corners].mean(axis=1)
 
 
+@pytest.mark.slow
 def test_an_image_sees_what_faces_it_and_nothing_hides(mesh, seen):
     """The truth: a ray from the camera, or through a pixel beside, meets the box there first."""
     for view, found in zip(world.views(), seen):
@@ -238,6 +244,7 @@ def test_an_image_sees_what_faces_it_and_nothing_hides(mesh, seen):
         assert (got & plain).sum() > 0.95 * plain.sum()
 
 
+@pytest.mark.slow
 def test_what_stands_before_the_mesh_in_the_image_is_not_its_colour(mesh, seen):
     view = world.views()[0]
     own = world.depth_map(view)
@@ -249,6 +256,7 @@ def test_what_stands_before_the_mesh_in_the_image_is_not_its_colour(mesh, seen):
     assert len(lost) > 20 and (x > 195).all() and (x < 265).all() and (y > 145).all() and (y < 225).all()
 
 
+@pytest.mark.slow
 def test_masks_are_respected_and_faces_beside_them_count_less(mesh, seen):
     view = world.views()[0]
     mask = ALL.copy()
@@ -261,12 +269,14 @@ def test_masks_are_respected_and_faces_beside_them_count_less(mesh, seen):
     assert (share <= 1.0001).all() and (share[beside] < 0.6).all() and np.median(share) > 0.95
 
 
+@pytest.mark.slow
 def test_without_a_depth_map_an_image_counts_little(mesh, seen):
     bare = seen_by(world.views()[0], mesh, ALL, None, TUNING)
     assert set(seen[0].face) <= set(bare.face)
     assert bare.quality.max() < 0.1 * seen[0].quality.max()
 
 
+@pytest.mark.slow
 def test_a_nearer_and_a_more_frontal_image_is_better(mesh):
     front, top = world.view("f", [2.0, -6.0, 1.0]), int(np.argmin(np.linalg.norm(middles(mesh) - [2, 0, 1], axis=1)))
 
@@ -278,6 +288,7 @@ def test_a_nearer_and_a_more_frontal_image_is_better(mesh):
     assert quality(front) > quality(world.view("oblique", [6.0, -4.5, 1.0]))
 
 
+@pytest.mark.slow
 def test_neighbours_agree_on_few_images(mesh, seen):
     label = chosen(seen, mesh, TUNING)
     shown = [set(s.face.tolist()) for s in seen]
@@ -347,6 +358,7 @@ def box(tmp_path_factory):
     return made(world.cloud(), tmp_path_factory.mktemp("box") / "scratch")
 
 
+@pytest.mark.slow
 def test_the_surface_is_the_box_on_both_sides(box):
     off = world.distance(sampled(box))
     assert np.quantile(off, 0.9) < 2 * world.NOISE_M and off.max() < 3 * world.SPACING
@@ -354,6 +366,7 @@ def test_the_surface_is_the_box_on_both_sides(box):
     assert np.quantile(missed, 0.99) < world.SPACING
 
 
+@pytest.mark.slow
 def test_it_is_open_where_no_points_are_and_faces_outwards(box):
     middle = box.xyz[box.corners].mean(axis=1)
     under = (np.abs(middle[:, 2]) < 0.3) & (np.abs(middle[:, :2] - world.SIZE[:2] / 2) < 0.5).all(axis=1)
@@ -362,6 +375,7 @@ def test_it_is_open_where_no_points_are_and_faces_outwards(box):
     assert (outward > 0).mean() > 0.99 and len(np.unique(pieces(len(box.corners), box.neighbours()))) == 1
 
 
+@pytest.mark.slow
 def test_vertices_have_the_colours_of_the_points(box):
     off = np.abs(box.rgb - np.clip(world.colour(box.xyz), 0, 255))
     assert np.median(off) < 6

@@ -64,6 +64,7 @@ def spread(scene: Scene, block: Block) -> float:
     return float(np.ptp([place(int(f)) for f in scene.frame[block.images[block.own]]]) / (block.own.sum() / 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> None:
     """A wall that repeats every 100 frames: a cut by matches alone puts places 100 frames apart into one block."""
@@ -123,6 +124,7 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
     assert np.array_equal(small.sequence_index[small.frame], scene.sequence_index[scene.frame[few]])
 
 
+@pytest.mark.slow
 def test_blocks_come_together_in_one_frame(world) -> None:
     scene, truth, _ = world
     mapper = Mapper(scene, truth, noise_m=0.02)
@@ -139,6 +141,7 @@ def test_blocks_come_together_in_one_frame(world) -> None:
     assert len(model.points) < 1.1 * len(scene)  # and hardly any is there twice
 
 
+@pytest.mark.slow
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
     made = mapped(world, Mapper(*world[:2], broken=1))
     models, notes = made.models, made.notes
@@ -149,6 +152,7 @@ def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
     assert models[0].placed().sum() >= models[1].placed().sum() > 0
 
 
+@pytest.mark.slow
 def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     scene, truth, _ = world
     mapper = Mapper(scene, truth)
@@ -162,6 +166,7 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     assert 0.4 < sum(m.placed().sum() for m in made.models) / len(scene) < 0.95
 
 
+@pytest.mark.slow
 def test_a_model_is_the_same_from_its_file(world) -> None:
     (model,) = mapped(world, Mapper(*world[:2])).models
     again = CoarseModel.from_npz(model.to_npz())
@@ -271,6 +276,7 @@ def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong:
     assert len(whole.models) == 1 and not len(whole.suspects[0])
 
 
+@pytest.mark.slow
 def test_a_rig_is_taken_from_the_block_that_agrees_with_the_others(world) -> None:
     """Not from the one with most images, which may be mapped as roughly as any."""
     scene, truth, ties = world

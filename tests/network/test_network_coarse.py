@@ -163,6 +163,7 @@ def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world,
     assert near.sum() >= 0.9 * possible.sum()
 
 
+@pytest.mark.slow
 def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world) -> None:
     model = true_model(world)
     overlap = model.overlap(SETTINGS.axes_deg, TUNING.coarse)
@@ -184,6 +185,7 @@ def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(wo
         assert np.any(kept & (wide.angle_deg > 55)) == steeper
 
 
+@pytest.mark.slow
 def test_without_a_model_counts_decide(world) -> None:
     found, _ = network_of(world, None)
     assert NO_MODEL in found.notes and found.coarse.model is None and not found.trusted.any()

@@ -66,6 +66,7 @@ def test_constant_offsets_lose_what_local_ones_keep() -> None:
     assert reasons["offset"] > 0 and reasons["votes"] > 0 and reasons["axes"] > 0
 
 
+@pytest.mark.slow
 def test_constant_offsets_stay_in_their_range() -> None:
     world = boat((20, 20), (1.5, 1.5))
     settings = CandidatesSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=2)
@@ -124,6 +125,7 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
             np.testing.assert_array_equal(np.sort(pairs.score[here & (pairs.dropped == 0)])[::-1], enough)
 
 
+@pytest.mark.slow
 def test_axes_that_forbid_a_match_are_previewed_only_to_check_the_rig() -> None:
     world = boat((10,), (2.0,))
     world.pairs_asked = set()
@@ -137,6 +139,7 @@ def test_axes_that_forbid_a_match_are_previewed_only_to_check_the_rig() -> None:
     assert np.isfinite(rejected.score).sum() == len(forbidden)
 
 
+@pytest.mark.slow
 def test_single_pass_and_unknown_rig_work() -> None:
     world = boat((20,), (1.5,))
     bare = tuple(replace(s, sensor_from_rig=None) for s in world.scene.rigs[0].sensors)
@@ -191,6 +194,7 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
     assert 0.5 < rows[1] / rows[0] < 1.3 and asked[1] / asked[0] < 1.3
 
 
+@pytest.mark.slow
 def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
     world = boat((160,), (1.0,), ring(3, up=False))
@@ -451,6 +455,7 @@ def few_axes(monkeypatch):
     monkeypatch.setattr("tiegraph.network.offsets.allowed_within", every)
 
 
+@pytest.mark.slow
 def test_a_long_pass_is_tied_as_far_as_its_cameras_see_and_no_further(few_axes) -> None:
     world = Street()
     kept = estimate_offsets(context_of(world.scene, world.match)).pairs.kept()
@@ -499,6 +504,7 @@ def line_of(world: Street) -> Timeline:
     )
 
 
+@pytest.mark.slow
 def test_a_loop_is_what_most_cameras_see_again() -> None:
     world = Street(back_from=100)
     line = line_of(world)

@@ -54,6 +54,7 @@ def test_full_poses_find_what_overlaps() -> None:
     assert (result.pairs.kept().angle_deg <= 80.001).all() and not len(result.without)
 
 
+@pytest.mark.slow
 def test_positions_alone_take_the_heading_from_the_track() -> None:
     world = boat((10, 10), (2.0, 2.0))
     result = paired(with_priors(world, rotation=False))
@@ -78,6 +79,7 @@ def test_frames_without_prior_fall_back_on_previews() -> None:
     assert any("3 of 20 frames have no prior position" in note for note in network.notes)
 
 
+@pytest.mark.slow
 def test_beyond_some_ranges_nothing_is_shared() -> None:
     """And a prior that is not sure enough does not refuse."""
     scene = with_priors(boat((10,), (2.0,)))
@@ -90,6 +92,7 @@ def test_beyond_some_ranges_nothing_is_shared() -> None:
     assert "distance" not in paired(unsure, near).pairs.funnel()
 
 
+@pytest.mark.slow
 def test_odometry_of_two_passes_is_never_compared() -> None:
     scene = with_priors(boat((10, 10), (2.0, 2.0))).with_(prior="odometry")
     pairs = paired(scene).pairs
@@ -162,6 +165,7 @@ def test_a_trajectory_of_each_pass_in_a_frame_that_nothing_tells(name: str | Non
         assert {"sight", "overlap"} <= set(candidates.pairs.where(same).funnel())
 
 
+@pytest.mark.slow
 def test_too_short_a_base_of_one_camera_is_dropped() -> None:
     scene = with_priors(boat((10,), (2.0,)))
     poses = scene.world_from_rig.copy()
@@ -401,6 +405,7 @@ def test_a_cluster_of_points_does_not_stand_for_the_image() -> None:
     assert found.share[0] == pytest.approx(8 / 15, abs=0.06)  # of 15 m of wall; 0.77 if every point had a vote
 
 
+@pytest.mark.slow
 def test_assumed_range_of_a_ring_looking_in_and_out() -> None:
     angle = np.radians(np.arange(0, 360, 15))
     where = 10 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
@@ -424,6 +429,7 @@ def test_pair_share_is_the_same_measure(monkeypatch: pytest.MonkeyPatch) -> None
     assert np.abs(np.where(direct < 0.02, 0, direct) - listed).max() < 0.08
 
 
+@pytest.mark.slow
 def test_pair_share_of_cameras_of_several_kinds_is_that_of_each_pair() -> None:
     """Of the barrel the corners have no rays, so that images have unequally many points."""
     barrel = pycolmap.Camera(model="SIMPLE_RADIAL", width=640, height=480, params=[320.0, 320.0, 240.0, -0.35])
@@ -447,6 +453,7 @@ def test_slack_widens_the_view_of_unsure_poses() -> None:
     assert len(shared(poses, proxy, slack_rad=0.3, max_angle_deg=180)) == 1
 
 
+@pytest.mark.slow
 def test_many_points_are_thinned_without_loss() -> None:
     poses = row_of_cameras()
     proxy = points_proxy(wall(60000))
@@ -456,6 +463,7 @@ def test_many_points_are_thinned_without_loss() -> None:
     assert between(fewer, 3, 4) == pytest.approx(0.8, abs=0.12)
 
 
+@pytest.mark.slow
 def test_the_table_is_the_same_in_blocks_of_any_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block names only the images that see anything of it: three images or all at once."""
     poses, points = row_of_cameras(40, 2.0), wall(width=80)

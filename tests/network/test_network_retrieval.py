@@ -49,6 +49,7 @@ def far(world: Places, frames: int) -> tuple:
     return i, j, useful & (j - i >= frames)
 
 
+@pytest.mark.slow
 def test_look_alikes_share_what_they_see() -> None:
     world = shuffled_ring(120)
     index, cosine = nearest_images(world.descriptors(), 10, WORDS)
@@ -59,6 +60,7 @@ def test_look_alikes_share_what_they_see() -> None:
     assert not (index == np.arange(120)[:, None]).any()
 
 
+@pytest.mark.slow
 def test_words_are_the_same_every_time_and_do_not_care_for_order_of_features() -> None:
     descriptors = shuffled_ring(40).descriptors()
     one, two = (nearest_images(descriptors, 5, WORDS) for _ in range(2))
@@ -67,6 +69,7 @@ def test_words_are_the_same_every_time_and_do_not_care_for_order_of_features() -
     assert words.between(np.array([0]), np.array([1]))[0] == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_blank_images_have_no_look_alikes() -> None:
     blank = np.zeros((0, 128), np.uint8)
     descriptors = [blank, *shuffled_ring(20).descriptors(), blank]
@@ -78,6 +81,7 @@ def test_blank_images_have_no_look_alikes() -> None:
     assert nearest_images(descriptors[1:2], 5, WORDS)[0].shape == (1, 0)
 
 
+@pytest.mark.slow
 def test_nearest_answers_queries_among_wanted_images() -> None:
     words = bags_of_words(shuffled_ring(60).descriptors(), WORDS)
     everyone, _ = words.nearest(59)
@@ -159,6 +163,7 @@ def _words_by(survey, count: int) -> BagsOfWords:
     return BagsOfWords(csr_array(rows.astype(np.float32)))
 
 
+@pytest.mark.slow
 def test_scenes_without_passes_or_photographs() -> None:
     world = shuffled_ring(30)
     cache = MatchCache(world.match, 30)
@@ -200,6 +205,7 @@ def tied(world: Places, with_words: bool = True, scene: Scene | None = None, ima
     return scored_pairs(context_of(scene or photos(count), world.match), chosen, words)
 
 
+@pytest.mark.slow
 def test_few_photographs_are_all_previewed() -> None:
     world = shuffled_ring(LOOSE.all_limit)
     recall, precision = found(tied(world), world.useful())
@@ -225,6 +231,7 @@ def test_previews_grow_with_the_images_and_not_with_their_square() -> None:
     assert large.asked < 3.0 * small.asked
 
 
+@pytest.mark.slow
 def test_two_unrelated_groups_stay_two() -> None:
     order = np.random.default_rng(2).permutation(150)
     world = Places(np.where(order < 75, order * 12.0, 50_000 + order * 12.0))
@@ -250,12 +257,14 @@ def test_photographs_are_tied_to_the_frames_of_a_pass() -> None:
     assert found(pairs, (i, j, useful & (j >= 200) & every_fourth))[0] > 0.95
 
 
+@pytest.mark.slow
 def test_without_words_names_and_chance_must_do() -> None:
     world = shuffled_ring(300)
     recall, precision = found(tied(world, with_words=False), world.useful())
     assert recall > 0.95 and precision > 0.8 and world.asked > TUNING.previews_an_image * 300
 
 
+@pytest.mark.slow
 def test_nothing_to_tie() -> None:
     world = shuffled_ring(12)
     assert len(tied(world, images=np.zeros(0, int))) == 0
@@ -276,6 +285,7 @@ def test_common_ties_decide_about_faint_pairs() -> None:
     assert supported((np.array([0]), np.array([1])), np.array([24]), 2, 12, TUNING)[0]  # two photographs alone
 
 
+@pytest.mark.slow
 def test_same_result_every_time() -> None:
     one, two = tied(shuffled_ring(130)), tied(shuffled_ring(130))
     assert np.array_equal(one.i, two.i) and np.array_equal(one.j, two.j) and np.array_equal(one.dropped, two.dropped)
@@ -326,6 +336,7 @@ def test_kept_pairs_win_where_cells_are_shared() -> None:
     assert np.count_nonzero(cells) in (2, 4)
 
 
+@pytest.mark.slow
 def test_maps_without_positions_say_so_and_loose_photographs_have_a_matrix() -> None:
     pairs = Pairs.make([0, 1, 2, 3], [1, 2, 3, 4], "exhaustive")
     assert opened(matrix_png(pairs, photos(5))).size
@@ -360,6 +371,7 @@ def test_the_map_shows_kinds_and_weak_links() -> None:
     assert sum(side.values()) + inside == len(kept) and min(side.values()) > 0
 
 
+@pytest.mark.slow
 def test_frames_without_a_position_lie_between_their_neighbours() -> None:
     world, _ = surveyed()
     at = positions(world)
@@ -385,6 +397,7 @@ def test_weak_links_are_read_from_the_table() -> None:
     assert weak_pairs({}, surveyed()[0].scene).shape == (0, 2)
 
 
+@pytest.mark.slow
 def test_sections_show_every_cue() -> None:
     world, network = surveyed()
     under = np.isin(world.step, (3, 4, 5))
@@ -395,6 +408,7 @@ def test_sections_show_every_cue() -> None:
     assert image.shape[0] > one.shape[0] + 150
 
 
+@pytest.mark.slow
 def test_names_are_no_formulas() -> None:
     figure = Figure(figsize=(2, 2), layout="constrained")
     axes = figure.add_subplot(title="$\\frac{$", ylabel="x^$_$^{{")
@@ -450,6 +464,7 @@ def test_without_positions_that_tell_the_scale_only_the_ratio_is_known():
         assert np.isnan([found.baseline_m[0], found.sigma_m[0]]).all() and np.isfinite(found.h_over_b[0])
 
 
+@pytest.mark.slow
 def test_the_stage_network_writes_them(tmp_path, monkeypatch):
     scene, visibility = wall()
     pairs = Pairs.make([0, 1], [1, 2], "sequence", score=np.array([100.0, 100.0]))

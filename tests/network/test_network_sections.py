@@ -47,6 +47,7 @@ def bridges(found: SectionResult) -> np.ndarray:
     return np.isin(np.arange(len(found.of_frame)), frames)
 
 
+@pytest.mark.slow
 def test_bridge_is_found_and_joined_over_both_passes() -> None:
     world, brightness, under = survey()
     network = network_of(world.scene, world.match, light=brightness)
@@ -125,6 +126,7 @@ def test_each_pass_has_its_own_threshold_and_a_clouded_pass_is_not_a_bridge() ->
     assert there[passes[0].frames].any() and not there[passes[1].frames].any()
 
 
+@pytest.mark.slow
 def test_no_up_camera_and_off_are_one_section() -> None:
     world = boat((10,), (2.0,), ring(5, up=False))
     found = cut(world.scene, np.zeros(len(world.scene)))

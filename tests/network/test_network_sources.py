@@ -263,6 +263,7 @@ def tied(world: World, recall: float, precision: float, across: float = 0.0) -> 
     return network
 
 
+@pytest.mark.slow
 def test_one_camera_there_and_back() -> None:
     network = tied(boat((40, 30), (1.0, 1.4), ring(1, up=False)), 0.9, 0.5)
     odd = ("rig", "late", "early", "lack", "missing", "swapped", "turned")
@@ -327,6 +328,7 @@ def test_the_same_pass_twice() -> None:
     assert any("follows" in note and "about 0 deg" in note for note in network.notes)
 
 
+@pytest.mark.slow
 def test_a_pass_written_anew_has_no_base() -> None:
     """Other files with the same pictures: nothing moves, every feature is found again."""
     world, twin = twins()
@@ -364,6 +366,7 @@ def test_photographs_on_a_ring() -> None:
     assert not any("components" in note or "no pair" in note for note in network.notes)
 
 
+@pytest.mark.slow
 def test_photographs_of_two_places_are_named_as_two() -> None:
     order = np.random.default_rng(2).permutation(150)
     world = Places(np.where(order < 75, order * 12.0, 50_000 + order * 12.0))

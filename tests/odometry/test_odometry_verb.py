@@ -115,12 +115,14 @@ def test_an_image_that_cannot_be_read_and_one_of_another_size_are_told_and_not_f
     assert not (tmp_path / "tiegraph.toml").exists()
 
 
+@pytest.mark.slow
 def test_a_stereo_head_without_its_rig_is_refused(start, tmp_path, capsys):
     assert run(start, "-o", tmp_path / "vo.tum") == 2
     assert "its place in the rig is not known" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_file_that_is_there_is_not_written_over(start, tmp_path, capsys):
     out = tmp_path / "vo.tum"
     out.with_suffix(".csv").write_text("mine")
@@ -129,6 +131,7 @@ def test_a_file_that_is_there_is_not_written_over(start, tmp_path, capsys):
     assert out.with_suffix(".csv").read_text() == "mine" and not out.exists()
 
 
+@pytest.mark.slow
 def test_one_frame_and_images_without_texture_are_refused(start, tmp_path, capsys):
     for folder in ("one", "grey"):
         (tmp_path / folder).mkdir()

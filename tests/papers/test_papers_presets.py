@@ -140,6 +140,7 @@ def test_light_is_that_of_up_cameras_alone(tmp_path: Path) -> None:
     assert np.isnan(found.brightness).all() and found.measure != UpLight(found.brightness).measure
 
 
+@pytest.mark.slow
 def test_the_bridge_of_canal_demo_is_found(data_root: Path) -> None:
     """Every frame as the truth has it, by the brightness of pixels; by the mean grey value of images none."""
     folder = data_root / "canal_demo"
@@ -347,6 +348,7 @@ def test_good_matches_hardly_move_and_the_range_is_in_bases() -> None:
     assert found[0] < 1e-3 and 4.5 < found[1] < 6.0  # about 10.5 / 2
 
 
+@pytest.mark.slow
 def test_noise_and_short_bases_move_more() -> None:
     def moved(base: float, noise: float) -> float:
         found = [two_view(*matches(base, noise, s), CAMERA, CAMERA, TwoViewTuning()) for s in range(7)]

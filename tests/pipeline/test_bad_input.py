@@ -22,6 +22,7 @@ from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene import atomic
 
+pytestmark = pytest.mark.slow
 Run = Callable[..., tuple[int, str]]
 
 
@@ -86,13 +87,11 @@ def _listing(folder: Path) -> list[tuple[str, int, int]]:
     return [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files]
 
 
-@pytest.mark.slow
 def test_the_same_flags_again(runs: Run) -> None:
     for _ in range(2):  # the second time they are the folder's defaults
         runs("--coarse.method", "off", "--match.guided")
 
 
-@pytest.mark.slow
 def test_folders_without_images(refuses: Run, images: Path, tmp_path: Path) -> None:
     for name in ("empty", "texts"):
         (tmp_path / name).mkdir()
@@ -103,7 +102,6 @@ def test_folders_without_images(refuses: Run, images: Path, tmp_path: Path) -> N
     refuses(folder=images / "up/cam0/000000.jpg", said=("000000.jpg", "folder"))
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("children_are_functions")
 def test_two_images_make_no_survey_but_a_clear_answer(run: Run, survey: worlds.Survey, tmp_path: Path) -> None:
     pair = tmp_path / "pair"
@@ -146,7 +144,6 @@ def test_masks_that_leave_little_may_be_inverted(run: Run, images: Path, tmp_pat
         assert code == 0 and ("are they inverted?" in said) == asked
 
 
-@pytest.mark.slow
 def test_masks_that_cannot_be_used_are_named_and_a_mended_one_goes_on(
     runs: Run, refuses: Run, images: Path, tmp_path: Path
 ) -> None:
@@ -166,7 +163,6 @@ def test_masks_that_cannot_be_used_are_named_and_a_mended_one_goes_on(
     runs("--masks.folder", masks, until="masks")
 
 
-@pytest.mark.slow
 def test_rig_gnss_and_pair_files_that_do_not_fit(refuses: Run, rig: Path, tmp_path: Path) -> None:
     right = rig.read_text()
     rig.write_text(right.replace('folder = "cam1"', 'folder = "camera1"'))
@@ -200,7 +196,6 @@ def test_gnss_file_with_gaps_leaves_those_frames_without_a_prior(
     assert says(project.receipt("scan")["notes"], "gnss.csv"), "the row left out is told"
 
 
-@pytest.mark.slow
 def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before_a_second_run(
     runs: Run, refuses: Run, rig: Path, tmp_path: Path
 ) -> None:
@@ -227,7 +222,6 @@ def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before
         path.write_text(right)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("children_are_functions")
 def test_no_matches_at_all(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
@@ -241,7 +235,6 @@ def test_no_matches_at_all(tmp_path: Path) -> None:
     assert (tmp_path / "out/database.db").exists() and project.receipt("features")["counts"]["images"] == 5
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("children_are_functions")
 def test_images_without_texture_end_in_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """There is no model, and the exit code says so only if it is asked for."""
@@ -278,7 +271,6 @@ def test_a_setting_that_was_stored_can_be_taken_out_again(runs: Run, refuses: Ru
     assert "folder =" not in stored.read_text()
 
 
-@pytest.mark.slow
 def test_setting_out_of_range_unknown_stage_preset_pool_and_input(refuses: Run, images: Path, tmp_path: Path) -> None:
     refuses("--masks.difference", 999, said=("difference", "999"))
     refuses(until="spasre")
@@ -288,7 +280,6 @@ def test_setting_out_of_range_unknown_stage_preset_pool_and_input(refuses: Run, 
         tiegraph.open(images, tmp_path / "out", gps="x.csv")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("artefact", ["scene.json", "000002.jpg.png", "masks.json"])
 def test_disk_full_says_so_and_the_next_run_goes_on(
     artefact: str, runs: Run, refuses: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -310,7 +301,6 @@ def test_disk_full_says_so_and_the_next_run_goes_on(
     assert all(path.stat().st_mtime_ns == when for path, when in before.items()), "finished masks were made again"
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("children_are_functions")
 def test_database_that_cannot_grow_says_so_and_the_next_run_goes_on(
     runs: Run, images: Path, server: Server, tmp_path: Path

@@ -182,6 +182,7 @@ def test_a_camera_that_no_tie_holds_stands_as_it_was_drawn(tmp_path: Path) -> No
     assert says(found.said, "c as given: too few ties")
 
 
+@pytest.mark.slow
 def test_constants_are_those_the_model_was_made_with_and_before_them_those_of_the_settings(tmp_path: Path) -> None:
     poses = [*_poses(0.37, 1.5)[:2], _poses(0.3)[2]]
     out = _run(tmp_path / "out", _given(), poses, tables=_mounting(poses, sigma=0.3))
@@ -246,6 +247,7 @@ def test_a_rig_whose_cameras_have_their_own_times_says_what_is_left_out(tmp_path
     assert any("sparse.rig = absent" in s for s in rig_file(tmp_path / "out").said)
 
 
+@pytest.mark.slow
 def test_cameras_are_written_as_the_files_of_the_user_have_them(tmp_path: Path) -> None:
     """b is cropped, c was guessed and never adjusted, a's lens folds its image."""
     rig = _given()
@@ -334,6 +336,7 @@ def _survey(folder: Path) -> Path:
 # --- the command line -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_verb_writes_what_colmap_and_tiegraph_read(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     poses = _poses(0.37, 1.5)
     out = _run(tmp_path / "out", _given(), poses, tables=_mounting(poses))
@@ -355,6 +358,7 @@ def test_the_verb_writes_what_colmap_and_tiegraph_read(tmp_path: Path, capsys: p
     assert "is not a run folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_calibration_of_a_run_is_held_against_that_of_a_board(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
@@ -399,6 +403,7 @@ def test_another_run_starts_from_it_at_once(tmp_path: Path, capsys: pytest.Captu
     assert main(command) == 0 and "scan  up to date" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_meant_stores_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     before, images = _run(tmp_path / "before", _given(), _poses(0.3)), _survey(tmp_path / "images")
     for receipt, words in (

@@ -219,6 +219,7 @@ def test_blocks_that_were_mapped_before_a_kill_stay(world, tmp_path, monkeypatch
     assert same(coarse._Mapper(run_in(tmp_path), scene).mapped(ties), whole) and len(mapper.sizes) == blocks
 
 
+@pytest.mark.slow
 def test_a_block_whose_ties_did_not_change_is_not_mapped_again(world, tmp_path, monkeypatch) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
@@ -231,6 +232,7 @@ def test_a_block_whose_ties_did_not_change_is_not_mapped_again(world, tmp_path, 
     assert len(mapper.sizes) == blocks + 1 and model.placed().all()
 
 
+@pytest.mark.slow
 def test_a_block_that_cannot_be_mapped_is_not_tried_again(world, tmp_path, monkeypatch) -> None:
     scene, _, ties = world
     asked = []

@@ -33,6 +33,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 
+pytestmark = pytest.mark.slow
 EAST, NORTH, UP = 388800.0, 3951200.0, 40.0  # of the lower left corner of the map
 SHAPE = (100, 120)
 BOX = [(5, 4), (15, 4), (15, 14), (5, 14)]
@@ -76,7 +77,6 @@ def refusal(capsys, *arguments):
     return capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_a_profile_is_exact_on_a_plane(run, tmp_path):
     out = tmp_path / "profile.csv"
     places = [f"{EAST + 2},{NORTH + 1}", f"{EAST + 20.3},{NORTH + 11.7}", f"{EAST + 10},{NORTH + 18}"]
@@ -222,7 +222,6 @@ def opened(folder: Path, shots: int, calibrated: bool = True, wide: str = "") ->
     return tiegraph.open(folder / "images", folder / "out", rig=folder / "rig.toml", pool="serial")
 
 
-@pytest.mark.slow
 def test_each_shot_becomes_a_metric_cloud(tmp_path):
     project = opened(tmp_path, 2)
     files = project.shots(0.5, 1.2)
@@ -277,7 +276,6 @@ def world_of(out: Path, shots: int, turn: np.ndarray, metric: bool = True) -> No
     (out / "world.json").write_text(json.dumps(world))
 
 
-@pytest.mark.slow
 def test_shots_with_a_pose_become_laz_in_the_world(tmp_path):
     project = opened(tmp_path, 2)
     own = read_cloud(project.shots(0.5, 1.2)[0])
@@ -342,7 +340,6 @@ def survey(folder: Path, xyz: np.ndarray, shift=(0.0, 0, 0), placed_m: float | N
     return folder
 
 
-@pytest.mark.slow
 def test_a_box_that_grew_by_5_cm(tmp_path: Path, capsys) -> None:
     first = survey(tmp_path / "a", ground(30_000, 0))
     second = survey(tmp_path / "b", ground(30_000, 1, box_m=0.05), shift=(100.0, -200, 10))
@@ -370,7 +367,6 @@ def test_a_box_that_grew_by_5_cm(tmp_path: Path, capsys) -> None:
         compare_epochs((first, second), tmp_path / "out")
 
 
-@pytest.mark.slow
 def test_a_shift_of_the_whole_survey_is_within_its_sigma_or_registered(tmp_path: Path) -> None:
     flat, bumpy = ground(20_000, 0), ground(20_000, 1)
     for cloud in (flat, bumpy):
@@ -389,7 +385,6 @@ def test_a_shift_of_the_whole_survey_is_within_its_sigma_or_registered(tmp_path:
     assert abs(found["differences"]["median m"]) < 0.005 and found["changes"]["rows"] == []
 
 
-@pytest.mark.slow
 def test_a_survey_in_another_frame_is_laid_on_the_first_by_its_shape(tmp_path: Path) -> None:
     hills = np.random.default_rng(3).uniform(-9, 9, (25, 2))
     clouds = [ground(40_000, seed) for seed in (0, 1)]
@@ -409,7 +404,6 @@ def test_a_survey_in_another_frame_is_laid_on_the_first_by_its_shape(tmp_path: P
     assert rows["coarse start: points near the reference, %"] > 80 and "start by their shapes" in found["notes"][0]
 
 
-@pytest.mark.slow
 def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> None:
     first = survey(tmp_path / "a", ground(500, 0))
     (tmp_path / "none").mkdir()
@@ -429,7 +423,6 @@ def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> 
     assert found["differences"]["compared %"] > 50 and other["differences"]["compared %"] == 0
 
 
-@pytest.mark.slow
 def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Path, capsys) -> None:
     folder = finished.after("cloud", tmp_path / "run")
     assert main(["compare", "--passes", str(folder), "-o", str(tmp_path / "passes")]) == 0
@@ -454,7 +447,6 @@ def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Pat
     assert sum(f["key"] == "shape.passes" and f["measured"] > 0 and not f["independent"] for f in layers) == 1
 
 
-@pytest.mark.slow
 def test_the_poses_of_a_run_without_a_cloud_are_compared(finished, tmp_path: Path, capsys) -> None:
     folder = finished.after("georef", tmp_path / "run")
     there = sorted(folder.iterdir())
@@ -468,7 +460,6 @@ def test_the_poses_of_a_run_without_a_cloud_are_compared(finished, tmp_path: Pat
     assert "run `tiegraph georef" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_one_pass_has_nothing_to_compare_with(finished, tmp_path: Path) -> None:
     folder = finished.after("cloud", tmp_path / "run")
     shutil.rmtree(folder / "depth")

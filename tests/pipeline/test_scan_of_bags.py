@@ -21,6 +21,7 @@ from tiegraph.cli.main import main
 from tiegraph.scan.videos.bagfilms import find_bags
 from tiegraph.scene.exif import read_exif
 
+pytestmark = pytest.mark.slow
 SIZE = (160, 120)
 TIMES = START_S + 0.2 * np.arange(20)  # four seconds, five pictures each
 APART_S = 0.013  # of the second camera behind the first
@@ -60,7 +61,6 @@ def said(project: Project, words: str) -> bool:
     return any(words in note for note in project.receipt("scan")["notes"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_topics_of_a_bag_are_the_cameras_of_a_rig(tmp_path: Path, form: str) -> None:
     rows = camera() + camera("/right/image_raw/compressed", APART_S, "jpeg") + fixes()
@@ -88,7 +88,6 @@ def test_topics_of_a_bag_are_the_cameras_of_a_rig(tmp_path: Path, form: str) -> 
     assert not said(project, "has positions")
 
 
-@pytest.mark.slow
 def test_a_bag_itself_and_topics_of_it_are_images(tmp_path: Path) -> None:
     poses = [
         world.odometry("/odom", t, (k, 0, 0), Rotation.from_euler("z", 5 * k, degrees=True).as_quat())
@@ -115,7 +114,6 @@ def test_a_bag_itself_and_topics_of_it_are_images(tmp_path: Path) -> None:
     assert other.run("scan").scene().names[0] == "run/left/left_000000.jpg"
 
 
-@pytest.mark.slow
 def test_what_is_no_camera_of_its_own_is_left_out(tmp_path: Path) -> None:
     depth = [world.image("/depth/image", t, np.ones((24, 32), np.uint16), "16UC1") for t in TIMES]
     rows = camera("/forward/image_raw") + camera("/forward/image_raw/compressed", kind="jpeg") + depth
@@ -127,7 +125,6 @@ def test_what_is_no_camera_of_its_own_is_left_out(tmp_path: Path) -> None:
         scanned(world.bag(tmp_path, "ros1", depth, name="only"), tmp_path / "none")
 
 
-@pytest.mark.slow
 def test_two_topics_of_one_camera_are_asked_about(tmp_path: Path) -> None:
     rows = camera("/left/image_raw") + camera("/left/image_rect_color") + camera("/right/image_raw", APART_S)
     path = world.bag(tmp_path / "in", "sqlite", rows)
@@ -141,7 +138,6 @@ def test_two_topics_of_one_camera_are_asked_about(tmp_path: Path) -> None:
         scanned(Path(f"{path}:/lft/image_raw"), tmp_path / "out2")
 
 
-@pytest.mark.slow
 def test_bags_are_passes_of_one_rig(tmp_path: Path) -> None:
     for k, name in enumerate(("up", "down")):
         shifted = [world.Row(r.topic, r.kind, r.received_s, r.built) for r in camera(late_s=100.0 * k)]
@@ -151,7 +147,6 @@ def test_bags_are_passes_of_one_rig(tmp_path: Path) -> None:
     assert np.ptp(scene.time_s) > 99
 
 
-@pytest.mark.slow
 def test_a_bag_and_the_tracks_of_a_video_lie_in_one_folder(tmp_path: Path) -> None:
     one, other = (recording_world.film(tmp_path / f"{k}.mp4", level=k) for k in (20, 150))
     world.bag(tmp_path / "in", "ros1", camera() + camera("/right/image_raw", APART_S))
@@ -163,7 +158,6 @@ def test_a_bag_and_the_tracks_of_a_video_lie_in_one_folder(tmp_path: Path) -> No
     assert said(project, "shot.insv, track 2 begins +0.0000 s after shot.insv, track 1 (the lenses of one recording)")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_the_calibration_of_a_bag_is_a_start(tmp_path: Path, form: str) -> None:
     d = (-0.2, 0.05, 0.001, -0.001, 0.0)
@@ -186,7 +180,6 @@ def intrinsics(k: tuple[float, ...]) -> np.ndarray:
     return np.array([[k[0], 0, k[2]], [0, k[1], k[3]], [0, 0, 1.0]])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "info, words",
     [
@@ -205,7 +198,6 @@ def test_a_calibration_that_cannot_be_used_is_said(tmp_path: Path, info: tuple, 
     assert not project.scene().all_sensors[0].camera.has_prior_focal_length
 
 
-@pytest.mark.slow
 def test_pictures_without_stamps_and_broken_ones_are_said(tmp_path: Path) -> None:
     rows = [world.image("/left/image_raw", t, picture(k), stamped=False) for k, t in enumerate(TIMES)]
     rows[7] = world.image("/left/image_raw", TIMES[7], picture(7)[:, :, 0], "bgr8", stamped=False)  # bytes are missing
@@ -217,7 +209,6 @@ def test_pictures_without_stamps_and_broken_ones_are_said(tmp_path: Path) -> Non
     assert 0 <= project.scene().time_s[0] - START_S - world.LATE_S < 0.5
 
 
-@pytest.mark.slow
 def test_the_command_line_takes_a_bag_and_stores_nothing_wrong(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -235,7 +226,6 @@ def test_the_command_line_takes_a_bag_and_stores_nothing_wrong(
     assert "is a file; give the folder" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_bags_beside_images_and_broken_ones_are_said(tmp_path: Path) -> None:
     path = world.bag(tmp_path / "in", "ros1", camera())
     path.write_bytes(path.read_bytes()[:5000])

@@ -18,6 +18,7 @@ from said import refused, says
 from tiegraph.api import Project
 from tiegraph.scene.exif import read_exif
 
+pytestmark = pytest.mark.slow
 START_S = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc).timestamp()
 
 
@@ -81,7 +82,6 @@ def track(path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
 def test_frames_of_a_video_meet_positions_by_time(tmp_path: Path) -> None:
     recorded(tmp_path / "in" / "walk.mp4", 2.0)
     gnss = track(tmp_path / "track.csv")
@@ -100,7 +100,6 @@ def test_frames_of_a_video_meet_positions_by_time(tmp_path: Path) -> None:
     assert told.time_s.tolist() == list(range(100, 110))
 
 
-@pytest.mark.slow
 def test_a_camera_with_a_receiver_says_where_times_and_positions_came_from(tmp_path: Path) -> None:
     video = recorded(tmp_path / "in" / "GX010001.mp4", 2.0)
     start = datetime(2024, 5, 1, 8, 0, 2, 500000, timezone.utc)  # the container is two hours late: local time
@@ -124,7 +123,6 @@ def test_a_camera_with_a_receiver_says_where_times_and_positions_came_from(tmp_p
         scanned(tmp_path / "in", tmp_path / "given", gnss=gnss)
 
 
-@pytest.mark.slow
 def test_videos_of_a_rig_are_aligned_by_their_motion(tmp_path: Path) -> None:
     recorded(tmp_path / "in" / "cam0.mp4", 0.0)
     recorded(tmp_path / "in" / "cam1.mp4", 0.52, turn_deg=(10, 70, 20), focal_px=110.0)
@@ -144,7 +142,6 @@ def test_videos_of_a_rig_are_aligned_by_their_motion(tmp_path: Path) -> None:
     assert said(told, r"cam1\.mp4 begins \+0\.4000 s after cam0\.mp4 \(by --scan\.video-offset\)")
 
 
-@pytest.mark.slow
 def test_positions_by_time_and_a_video_without_one_say_the_remedy(tmp_path: Path) -> None:
     film(tmp_path / "in" / "walk.avi", 3)
     gnss = track(tmp_path / "track.csv")
@@ -164,7 +161,6 @@ def test_a_broken_video_of_a_rig_is_named(tmp_path: Path) -> None:
         scanned(tmp_path / "in", tmp_path / "rig", rig=str(tmp_path / "rig.toml"))
 
 
-@pytest.mark.slow
 def test_recordings_that_all_begin_at_zero_are_said(tmp_path: Path) -> None:
     for name in ("morning", "noon"):
         film(tmp_path / "in" / f"{name}.avi", 3 + len(name) % 3)
@@ -180,7 +176,6 @@ def test_recordings_that_all_begin_at_zero_are_said(tmp_path: Path) -> None:
     assert 100 <= times.min() < times.max() < 106
 
 
-@pytest.mark.slow
 def test_an_offset_that_the_motion_does_not_tell_is_asked_for(tmp_path: Path) -> None:
     for name in ("cam0", "second_cam"):
         film(tmp_path / "in" / f"{name}.avi", 4)

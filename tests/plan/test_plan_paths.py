@@ -92,6 +92,7 @@ def network(course: Course = SIDEWAYS, most: int = 800, tie_px: float = 0.2) -> 
     return path, make_network(path, [camera(), camera("cam1", 0.5)], WorldRequest(tie_px=tie_px), 0.4, tuning)
 
 
+@pytest.mark.slow
 def test_the_network_is_what_the_cameras_see():
     path, made = network()
     model = made.model

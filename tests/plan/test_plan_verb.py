@@ -29,6 +29,7 @@ def said(capsys, *arguments: str) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_sweep_of_paper_004_as_json_and_as_a_table(capsys):
     rows = said(capsys, *PAPER, "--distance", "0.5,0.7,1.0,1.2")["stations"]
     assert [round(1000 * r["depth_sigma_2_rays_m"], 3) for r in rows] == [0.431, 0.845, 1.725, 2.484]
@@ -38,6 +39,7 @@ def test_the_sweep_of_paper_004_as_json_and_as_a_table(capsys):
     assert "0.431 (2)" in shown and "0.845 (2)" in shown
 
 
+@pytest.mark.slow
 def test_a_sweep_over_bases_is_one_curve_each(capsys, tmp_path):
     arguments = ["--focal-px", "2000", "--size", "2000x1500", "--distance", "1,2,4", "--base", "0.1,0.2"]
     assert main(["plan", *arguments, "-o", str(tmp_path / "out")]) == 0
@@ -114,6 +116,7 @@ def test_what_a_survey_costs_grows_with_its_images():
     assert 40 < effort([(1536, 1024)], 25, 1.0, None, 12288, tuning).sparse_cpu_s < 90
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments, named",
     [
@@ -141,6 +144,7 @@ def test_misuse_is_named_before_anything_is_made(arguments, named, capsys, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_rig_file_gives_cameras_and_their_places(tmp_path, capsys):
     rig = tmp_path / "rig.toml"
     camera = 'model = "PINHOLE"\nsize = [1200, 900]\nparams = [900, 900, 610, 440]\n'
@@ -183,6 +187,7 @@ def test_there_is_one_for_each_kind_of_user():
     assert (PAGE.parent / "pictures" / "plan_grid.png").exists()
 
 
+@pytest.mark.slow
 def test_the_table_of_the_paper(tmp_path):
     rows = run(COMMANDS[0], tmp_path)["stations"]
     for row in rows:

@@ -76,6 +76,7 @@ def far_from_the_box(u, v, away=3 * PIXEL):
     return np.abs(off) > away
 
 
+@pytest.mark.slow
 def test_the_checker_is_where_it_is_to_half_a_pixel(ortho):
     rgba, source = ortho
     u, v = grid()
@@ -101,6 +102,7 @@ def test_the_checker_is_where_it_is_to_half_a_pixel(ortho):
         assert len(places) > 50 and np.percentile(error, 95) < 0.5, red
 
 
+@pytest.mark.slow
 def test_nothing_is_shown_twice_beside_the_box(ortho):
     rgba, _ = ortho
     u, v = grid()
@@ -111,6 +113,7 @@ def test_nothing_is_shown_twice_beside_the_box(ortho):
     assert (blue & far_from_the_box(u, v, 2 * PIXEL)).mean() < 1e-3  # the faces are no part of a map
 
 
+@pytest.mark.slow
 def test_the_source_of_a_pixel_saw_it(ortho, images):
     _, source = ortho
     u, v = grid()
@@ -128,6 +131,7 @@ def test_the_source_of_a_pixel_saw_it(ortho, images):
     assert len(np.unique(corner)) == 1 and images.views[int(corner[0, 0]) - 1].name == "6.jpg"
 
 
+@pytest.mark.slow
 def test_what_no_image_sees_has_no_colour():
     low = MAP.view("low", (-6.0, 3.0, 6.0), (4.0, 3.001, 0.0))
     rgba, source = made(MAP, images_of(MAP, [low]))
@@ -138,6 +142,7 @@ def test_what_no_image_sees_has_no_colour():
     assert (source[free] == 1).all()
 
 
+@pytest.mark.slow
 def test_a_facade_is_a_map_in_another_frame(ortho):
     rgba, source = made(WALL, images_of(WALL))
     assert (source == ortho[1]).mean() > 0.999
@@ -151,6 +156,7 @@ def test_tiles_do_not_change_the_picture(ortho, images):
     assert np.abs(rgba.astype(int) - ortho[0]).max() <= 2
 
 
+@pytest.mark.slow
 def test_exposures_are_compensated_and_seams_are_not_seen():
     exposures = np.array([1.0, 0.8, 1.1, 0.9, 1.0, 0.75, 1.1, 0.85, 1.0])
     images = images_of(MAP, exposures=exposures)
@@ -164,6 +170,7 @@ def test_exposures_are_compensated_and_seams_are_not_seen():
     assert values.std() / values.mean() < 0.04
 
 
+@pytest.mark.slow
 def test_masked_pixels_and_what_a_depth_map_has_in_front_are_not_taken():
     from tiegraph.scene.results import DepthMap
 
@@ -216,6 +223,7 @@ def ramp(rows=700, columns=1100):
     return values[None].astype(np.float32)
 
 
+@pytest.mark.slow
 def test_a_raster_is_a_cloud_optimized_geotiff_that_says_what_it_is(tmp_path):
     path = written(tmp_path, "dsm", ramp())
     with rasterio.open(path) as raster:
@@ -237,6 +245,7 @@ def test_a_raster_is_a_cloud_optimized_geotiff_that_says_what_it_is(tmp_path):
     assert statistics["STATISTICS_MEAN"] == pytest.approx(float(found.mean()), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_same_pixels_make_the_same_bytes(tmp_path):
     one, two = (written(tmp_path / name, "sigma", ramp()).read_bytes() for name in "ab")
     assert one == two
@@ -253,6 +262,7 @@ def test_a_wall_has_a_local_crs_and_its_matrix(tmp_path):
     assert described["axes"]["w"] == "out of the wall" and np.allclose(described["surface_from_crs"], matrix)
 
 
+@pytest.mark.slow
 def test_a_compound_crs_stays_one(tmp_path):
     origin = Origin(**{**ORIGIN.to_dict(), "crs": "EPSG:25833+5783", "shift_m": ORIGIN.shift_m})
     with rasterio.open(written(tmp_path, "dsm", ramp(), origin=origin)) as raster:
@@ -265,11 +275,13 @@ def test_a_crs_without_metres_is_refused(tmp_path):
         written(tmp_path, "dsm", ramp(), origin=origin)
 
 
+@pytest.mark.slow
 def test_a_model_without_scale_is_in_units(tmp_path):
     with rasterio.open(written(tmp_path, "dsm", ramp(), origin=None, unit="units")) as raster:
         assert raster.units == ("units",) and "units of the model" in raster.crs.to_wkt()
 
 
+@pytest.mark.slow
 def test_colours_have_alpha_and_sources_the_nearest_overview(tmp_path):
     colours = np.zeros((4, 700, 1100), np.uint8)
     colours[0], colours[3, :, 550:] = 200, 255
@@ -290,6 +302,7 @@ def test_a_full_disk_is_an_error_that_names_it(tmp_path, monkeypatch):
     assert not (tmp_path / "dsm.tif").exists()
 
 
+@pytest.mark.slow
 def test_windows_are_read_beyond_the_raster_as_unknown(tmp_path):
     path = written(tmp_path, "dsm", ramp())
     found = read_window(path, Window(-2, 1098, rows=4, columns=4))

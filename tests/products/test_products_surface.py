@@ -33,6 +33,7 @@ def test_cameras_that_look_down_make_a_map_whose_pixels_are_round_and_lie_on_who
     assert "look sideways" in notes[0] and "map" in notes[0]
 
 
+@pytest.mark.slow
 def test_cameras_that_look_sideways_make_elevations_of_the_walls():
     (found,), notes = choose(survey(WALL), ProductsSettings(pixel_m=0.05), TUNING)
     assert found.name == "elevation1"
@@ -154,6 +155,7 @@ def test_errors_of_their_own_are_not_worse_than_the_sigma_says():
     assert 0.4 < np.sqrt(np.mean(((dsm - w) / sigma)[known] ** 2)) < 0.8
 
 
+@pytest.mark.slow
 def test_the_top_of_a_cell_is_its_surface_and_what_lies_below_or_alone_above_is_not():
     cloud = MAP.cloud()
     dsm, _ = made(MAP, cloud)
@@ -168,6 +170,7 @@ def test_the_top_of_a_cell_is_its_surface_and_what_lies_below_or_alone_above_is_
     assert np.nanmax(np.abs(both - dsm)[far]) < 4 and np.mean(np.abs(both - dsm)[far] < 0.03) > 0.97
 
 
+@pytest.mark.slow
 def test_points_that_face_away_are_not_seen():
     cloud = MAP.cloud()
     underside = MAP.cloud(seed=1)
@@ -193,6 +196,7 @@ def test_small_holes_are_interpolated_and_large_ones_are_not():
     assert (np.isnan(dsm) == np.isnan(sigma)).all()
 
 
+@pytest.mark.slow
 def test_a_facade_is_a_map_in_another_frame():
     flat, upright = made(MAP, MAP.cloud()), made(WALL, WALL.cloud())
     np.testing.assert_array_equal(np.isnan(flat), np.isnan(upright))
@@ -200,6 +204,7 @@ def test_a_facade_is_a_map_in_another_frame():
     assert np.mean(same[np.isfinite(flat)]) > 0.9999  # a point on the border of two cells may change them
 
 
+@pytest.mark.slow
 def test_tiles_do_not_change_the_values():
     cloud = MAP.cloud(0.06)
     whole, tiled = made(MAP, cloud), made(MAP, cloud, size=37)

@@ -37,6 +37,7 @@ def town(tmp_path_factory):
     return made(tmp_path_factory.mktemp("town") / "run")
 
 
+@pytest.mark.slow
 def test_terrain_below_houses_trees_and_cars_is_as_true_as_its_sigma_says(town):
     dtm, sigma, work = town
     bare, _, objects = world.town()
@@ -48,6 +49,7 @@ def test_terrain_below_houses_trees_and_cars_is_as_true_as_its_sigma_says(town):
     assert "1 m" not in work.said() and "contours." in work.said()
 
 
+@pytest.mark.slow
 def test_open_ground_keeps_its_height_and_sigma(town):
     dtm, sigma, _ = town
     _, top, objects = world.town()
@@ -66,6 +68,7 @@ def test_tiles_do_not_change_the_terrain(town, tmp_path):
         assert again.path(name).read_bytes() == town[2].path(name).read_bytes()
 
 
+@pytest.mark.slow
 def test_what_is_wider_than_asked_for_stays(tmp_path):
     dtm, _, _ = made(tmp_path / "run", objects_m=4.0)
     left, low, wide, deep = world.HOUSES[1]
@@ -73,6 +76,7 @@ def test_what_is_wider_than_asked_for_stays(tmp_path):
     assert dtm[row, column] == pytest.approx(world.town()[1][row, column], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_ground_that_was_not_seen_for_a_long_way_is_not_invented(tmp_path):
     top = world.town()[1].copy()
     x, y = world.places()
@@ -144,6 +148,7 @@ def drawn(folder):
     return glue._write_lines(folder / "contours.gpkg", lines, world.surface(), Place(world.ORIGIN)), lines
 
 
+@pytest.mark.slow
 def test_a_geopackage_has_the_crs_and_heights(tmp_path):
     raw = pytest.importorskip("pyogrio.raw")
     name, lines = drawn(tmp_path)

@@ -73,6 +73,7 @@ def test_without_noise_the_heap_is_exact_to_what_pixels_cut_off():
     assert area_of(AROUND) == pytest.approx(12 * 7.5**2 * np.sin(2 * np.pi / 24))
 
 
+@pytest.mark.slow
 def test_how_errors_are_shared_is_measured():
     alone, _ = shared_errors(patch(0), TUNING)
     assert alone < 1.5
@@ -83,6 +84,7 @@ def test_how_errors_are_shared_is_measured():
     assert rest == pytest.approx(0.75, abs=0.1)  # of the stated variance a quarter shows
 
 
+@pytest.mark.slow
 def test_what_is_not_known_of_the_whole_counts_by_how_it_moves_the_volume():
     heap, area = patch(), area_of(AROUND)
     for known, base, expected in (
@@ -100,6 +102,7 @@ def test_what_is_not_known_of_the_whole_counts_by_how_it_moves_the_volume():
     assert parts["shape"] == pytest.approx(0.2 * area, rel=0.01) and parts["world"] == 0
 
 
+@pytest.mark.slow
 def test_another_survey_as_base_brings_its_own_errors():
     before, after = patch(1, 2.5), patch(2, 2.5)
     before = replace(before, w=before.w - 0.5)

@@ -61,6 +61,7 @@ closes_its_queue = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @closes_its_queue
 def test_a_worker_lost_while_the_next_one_starts_is_named_too(monkeypatch):
     executor, workers = open_pool("local:2")

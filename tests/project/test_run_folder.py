@@ -38,6 +38,7 @@ def proj(tmp_path):
     return tmp_path / "proj"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("images", "out"),
     [
@@ -76,6 +77,7 @@ def test_a_new_an_empty_and_a_made_folder_will_do(tmp_path):
         check_folder(tmp_path / "file")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("made", "which"), [(1, "an earlier"), (9, "a later"), ("odd", "an earlier"), (None, None)])
 def test_the_run_folder_of_another_version_is_refused_and_not_touched(proj, tmp_path, made, which, capsys):
     """Names of files, and of what stands in them, change with the format; a mark without one was damaged."""
@@ -144,6 +146,7 @@ def test_settings_edited_by_hand_are_kept_and_refused_ones_taken_back(tmp_path):
     assert path.read_text() == "a = 1\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [InputError, SettingsError, EngineMissing])
 def test_what_is_refused_is_not_stored(proj, make, tmp_path, error):
     """An option on the command line, and what the first stage refuses."""
@@ -237,6 +240,7 @@ def aside(run) -> dict[str, bytes]:
     return {name.split("/", 1)[1]: data for name, data in found.items()}
 
 
+@pytest.mark.slow
 def test_a_lost_item_is_made_again_and_only_that(make):
     assert ran(make()) == ALL
     make().path("many", "2.txt").unlink()
@@ -247,6 +251,7 @@ def test_a_lost_item_is_made_again_and_only_that(make):
     assert ran(make()) == []
 
 
+@pytest.mark.slow
 def test_an_item_of_two_files_is_made_again_whole(make):
     def pairs(run):
         for k in range(3):
@@ -265,6 +270,7 @@ def test_an_item_of_two_files_is_made_again_whole(make):
         assert make().path("beside", "1.txt").read_text() == "beside"
 
 
+@pytest.mark.slow
 def test_what_was_changed_is_kept_aside_and_made_again(make):
     ran(make())
     make().path("many", "1.txt").write_text("drawn by hand")
@@ -273,6 +279,7 @@ def test_what_was_changed_is_kept_aside_and_made_again(make):
     assert aside(make()) == {"many/1.txt": b"drawn by hand"}
 
 
+@pytest.mark.slow
 def test_what_depends_on_a_file_that_came_out_otherwise_is_made_again(make, monkeypatch):
     ran(make())
     make().path("many", "whole", "a").unlink()
@@ -299,6 +306,7 @@ SHARED = (
 )
 
 
+@pytest.mark.slow
 def test_a_file_that_a_stage_changed_is_not_missed_when_its_maker_made_it_anew(make):
     """Twice with other settings, before the stage that changes it has run again: its list is of a file long gone."""
     assert run_stages(SHARED, make()) == ["many", "whole"]
@@ -314,6 +322,7 @@ def test_a_file_that_a_stage_changed_is_not_missed_when_its_maker_made_it_anew(m
     assert len(list(make().path("set_aside").iterdir())) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begins_again", [False, True], ids=["at once", "by the next run"])
 def test_what_a_stage_broke_that_was_stopped_is_nobodys_and_what_a_person_broke_is_kept(make, begins_again):
     """As a full disk leaves a database: it is made anew, and set aside is only what a person may have changed."""
@@ -340,6 +349,7 @@ def test_what_a_stage_broke_that_was_stopped_is_nobodys_and_what_a_person_broke_
     assert make().path("base.db").read_text() == "1 grown" and aside(make()) == {"base.db": b"by a person"}
 
 
+@pytest.mark.slow
 def test_a_touched_or_copied_folder_is_still_up_to_date(make, tmp_path):
     ran(make())
     for path in make().path("many").glob("*.txt"):
@@ -351,6 +361,7 @@ def test_a_touched_or_copied_folder_is_still_up_to_date(make, tmp_path):
     assert ran(make()) == []
 
 
+@pytest.mark.slow
 def test_files_of_others_are_refused_by_name_and_left_alone(make):
     ran(make())
     own = make().path("many", "mine.txt")
@@ -364,6 +375,7 @@ def test_files_of_others_are_refused_by_name_and_left_alone(make):
     assert make().path("mine.txt").read_text() == "mine" and make().path("many", "1.txt").read_text() == "2 1"
 
 
+@pytest.mark.slow
 def test_files_put_in_after_an_interruption_are_not_ours(make):
     with pytest.raises(KeyboardInterrupt):
         ran(make(last=13))
@@ -376,6 +388,7 @@ def test_files_put_in_after_an_interruption_are_not_ours(make):
     assert ran(make()) == ALL and WORKED[0] == "3"
 
 
+@pytest.mark.slow
 def test_a_kill_leaves_a_journal_by_which_ours_is_known(make):
     run = make()
     ran(run)
@@ -391,6 +404,7 @@ def test_a_kill_leaves_a_journal_by_which_ours_is_known(make):
     assert not run.path("many", ".0badcafe.77.part.txt").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [1, 2])
 def test_what_a_worker_finishes_after_the_run_was_stopped_is_ours(make, value):
     with pytest.raises(KeyboardInterrupt):
@@ -404,6 +418,7 @@ def test_what_a_worker_finishes_after_the_run_was_stopped_is_ours(make, value):
     assert not make().path(JOURNAL).exists()
 
 
+@pytest.mark.slow
 def test_stages_within_stages_keep_to_their_own(make):
     ran(make())
     assert ran(make(whole=5)) == ["whole", "last"]
@@ -412,6 +427,7 @@ def test_stages_within_stages_keep_to_their_own(make):
     assert make().path("many", "whole", "a").read_text() == "5"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["{", "[]", "", "\x00\x01"])
 @pytest.mark.parametrize("which", ["receipts/many.json", "receipts/files/many.json", "receipts/folder.json"])
 def test_a_damaged_receipt_costs_its_stage_and_nothing_else(make, which, damage):
@@ -422,6 +438,7 @@ def test_a_damaged_receipt_costs_its_stage_and_nothing_else(make, which, damage)
     assert {p.name: p.read_bytes() for p in make().path("many").glob("*.txt")} == before
 
 
+@pytest.mark.slow
 def test_an_artefact_that_cannot_be_read_is_made_again_although_it_looks_untouched(make, capsys):
     ran(make())
     path = make().path("many", "0.txt")
@@ -432,6 +449,7 @@ def test_an_artefact_that_cannot_be_read_is_made_again_although_it_looks_untouch
     assert WORKED == ["last", "0", "last"] and aside(make()) == {"many/0.txt": b"?!?"}
 
 
+@pytest.mark.slow
 def test_a_stage_that_always_fails_to_read_ends_the_run(make):
     def unreadable(run):
         raise UnreadableArtefact(run.path("many", "0.txt"), "always")
@@ -441,6 +459,7 @@ def test_a_stage_that_always_fails_to_read_ends_the_run(make):
         run_stages(stages, make())
 
 
+@pytest.mark.slow
 def test_refused_settings_leave_what_was_computed(make):
     ran(make())
     with refused("no such value"):

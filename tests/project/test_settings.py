@@ -300,6 +300,7 @@ def test_arguments_in_any_order():
         assert (str(folder), str(known.out)) == ("im", "o"), arguments
 
 
+@pytest.mark.slow
 def test_what_is_to_be_unset_is_known_before_the_options_are_read():
     folder, known = preparsed(["im", "--unset", "gnss", "-o", "o", "--unset=masks.folder"])
     assert known.unset == ("gnss", "masks.folder") and (str(folder), str(known.out)) == ("im", "o")

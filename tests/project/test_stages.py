@@ -111,6 +111,7 @@ def whys(run, stages=STAGES):
     return [why for _, why, _ in status(stages, run)]
 
 
+@pytest.mark.slow
 def test_second_run_does_nothing_and_changes_reach_only_what_depends_on_them(make):
     assert run_stages(STAGES, make()) == ["first", "second", "third"]
     assert run_stages(STAGES, make()) == []
@@ -123,6 +124,7 @@ def test_second_run_does_nothing_and_changes_reach_only_what_depends_on_them(mak
     assert run_stages(STAGES, make(first=One(value=5), third=One(value=9))) == ["first", "second", "third"]
 
 
+@pytest.mark.slow
 def test_status_names_the_input_and_the_setting_that_changed(make, tmp_path):
     listed, track = tmp_path / "pairs.txt", tmp_path / "track.csv"
     listed.write_text("a b")
@@ -152,6 +154,7 @@ def later(*paths):
         os.utime(path, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns + 5_000_000_000))
 
 
+@pytest.mark.slow
 def test_a_new_time_alone_is_no_change_of_an_input_and_other_bytes_of_the_same_size_are(make, tmp_path):
     listed = tmp_path / "pairs.txt"
     listed.write_text("a b")
@@ -177,6 +180,7 @@ def linked(run):
     return Outcome()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["moved", "copied", "copied and changed"])
 def test_a_survey_that_was_moved_or_copied_is_looked_at_again_and_not_computed_again(tmp_path, how):
     stages = (replace(STAGES[0], run=linked, item=""), *STAGES[1:])
@@ -204,6 +208,7 @@ def test_a_survey_that_was_moved_or_copied_is_looked_at_again_and_not_computed_a
     assert run_stages(stages, run(new)) == []
 
 
+@pytest.mark.slow
 def test_one_file_that_is_gone_is_a_change_and_a_folder_that_is_gone_counts_as_it_was(make, tmp_path):
     images = make().inputs.images
     (images / "b.jpg").write_bytes(b"y")
@@ -223,6 +228,7 @@ def test_one_file_that_is_gone_is_a_change_and_a_folder_that_is_gone_counts_as_i
     assert run_stages(STAGES, make(third=One(value=9))) == ["first", "second", "third"]
 
 
+@pytest.mark.slow
 def test_inputs_whose_list_is_damaged_count_by_their_times_again(make):
     run_stages(STAGES, make())
     make().path("receipts", "inputs.json").write_text("{")
@@ -233,6 +239,7 @@ def test_inputs_whose_list_is_damaged_count_by_their_times_again(make):
     assert run_stages(STAGES, make()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value, redone", [(1, ["2"]), (7, ["0", "1", "2"])])
 def test_interrupted_work_goes_on_where_it_stopped_and_that_of_other_settings_is_not_reused(make, value, redone):
     run = make()
@@ -245,12 +252,14 @@ def test_interrupted_work_goes_on_where_it_stopped_and_that_of_other_settings_is
     assert worked(run) == redone and run.path("first", "0.txt").read_text() == str(value)
 
 
+@pytest.mark.slow
 def test_until_runs_only_what_the_target_needs(make):
     assert run_stages(STAGES, make(), until="third") == ["first", "third"]
     with refused("unknown stage 'nope'"):
         run_stages(STAGES, make(), until="nope")
 
 
+@pytest.mark.slow
 def test_receipt_says_what_happened(make):
     run = make()
     run_stages(STAGES, run)
@@ -260,6 +269,7 @@ def test_receipt_says_what_happened(make):
     assert receipt["key"] == run.keys(STAGES)["second"]
 
 
+@pytest.mark.slow
 def test_constants_of_an_engine_run_again_the_stages_that_follow_it_and_stand_in_their_receipts(make):
     stages = (STAGES[0], Stage("second", second, (), ("second.txt",), tuned=("other",)), STAGES[2])
     run_stages(stages, make())
@@ -312,6 +322,7 @@ def test_pools_give_the_same_results_in_order(spec):
 PASSING = (Stage("first", first, (), ("first",), "file", passing=True), *STAGES[1:])
 
 
+@pytest.mark.slow
 def test_files_that_were_let_go_are_missed_by_nobody_until_a_stage_needs_them(make):
     run_stages(PASSING, make())
     before = make().receipts.read("first")["made"]
@@ -325,6 +336,7 @@ def test_files_that_were_let_go_are_missed_by_nobody_until_a_stage_needs_them(ma
     assert run_stages(PASSING, make(), until="first") == ["first"]  # asked for
 
 
+@pytest.mark.slow
 def test_nothing_is_let_go_that_a_stage_still_needs_or_that_is_the_users(make):
     run_stages(PASSING, make(), until="first")
     assert let_go(PASSING, make()) == 0

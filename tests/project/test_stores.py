@@ -96,6 +96,7 @@ def test_the_copy_follows_the_store(memory: Any, tmp_path: Path, monkeypatch: py
     assert files(target) == left and not (target / "cam1").exists()
 
 
+@pytest.mark.slow
 def test_a_stopped_copy_goes_on(memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(40):
         memory.pipe(f"/bucket/survey/{k}.jpg", b"%d" % k)
@@ -206,6 +207,7 @@ class Listed(SimpleHTTPRequestHandler):
         pass
 
 
+@pytest.mark.slow
 def test_folders_of_a_web_server(tmp_path: Path) -> None:
     there = tmp_path / "there" / "survey"
     (there / "cam 0").mkdir(parents=True)
@@ -298,6 +300,7 @@ def test_a_survey_in_s3(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "no access" in (said := capfd.readouterr().err) and "the copy of an earlier run is in" in said
 
 
+@pytest.mark.slow
 def test_a_forecast_and_events_of_a_url(memory: Any, tmp_path: Path, capfd: Any) -> None:
     survey = make_survey(tmp_path / "local", passes=("up",), frames=2, size=(64, 48))
     memory.put(str(survey.images), "/bucket/survey", recursive=True)

@@ -26,6 +26,7 @@ from tiegraph.scene.colmapmodel import Registration
 SMALL = ReportSettings(viewer_points=2000)
 
 
+@pytest.mark.slow
 def test_the_whole_report(page: str) -> None:
     """In one offline file, nothing unescaped or unfilled."""
     for text in (
@@ -56,6 +57,7 @@ def test_the_whole_report(page: str) -> None:
     assert "None" not in visible and "{{" not in visible
 
 
+@pytest.mark.slow
 def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None:
     data = json.loads(re.search(r'id="viewer-data">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
     shift = json.loads((full / "world.json").read_text())["shift_m"]
@@ -108,6 +110,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
             write_report(folder, SMALL)
 
 
+@pytest.mark.slow
 def test_verdict_levels(full: Path) -> None:
     run = read_run(full)
     assert run.model is not None and summary.verdict(run).level == "check"
@@ -133,6 +136,7 @@ def test_verdict_levels(full: Path) -> None:
     assert weak.level == "check" and any("tilt" in w and "1.4°" in w for w in weak.warnings)
 
 
+@pytest.mark.slow
 def test_settings_name_files_without_their_folders(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", "scan")
     tell(folder, "scan", settings={"reference": "/home/somebody/truth/poses.tum", "ratio": 0.8})
@@ -238,6 +242,7 @@ def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_pa
     assert shown.index(">1.1128<") < shown.index("<td>heading<")  # statements of one quantity stand together
 
 
+@pytest.mark.slow
 def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run")
     before = read_run(folder).model

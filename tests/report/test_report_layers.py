@@ -64,6 +64,7 @@ def japanese(full: Path) -> str:
     return write_report(full, JAPANESE).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_measured_figure_stands_beside_the_prediction_of_the_same_thing(page: str) -> None:
     table = page[page.index('<div class="cards layers">') :].split("</table>")[0]
     keys = [re.findall(r'data-accuracy="([\w.]+)\.(?:predicted|measured)"', row) for row in table.split("<tr>")[2:]]
@@ -77,6 +78,7 @@ def test_a_headline_does_not_end_in_the_name_of_a_camera() -> None:
     assert about(("height: GNSS and control points differ by 3 m",)) == "height"
 
 
+@pytest.mark.slow
 def test_page_one_says_what_a_client_asks(page: str) -> None:
     one = page[page.index('<div class="client">') : page.index('<div class="engineer">')]
     order = ["Quay 7", "usable with care", 'class="answer no"', "in the world", "in shape", "of a point"]
@@ -89,6 +91,7 @@ def test_page_one_says_what_a_client_asks(page: str) -> None:
     assert "A. Surveyor" in one and "60 images of 20 frames in 2 passes" in one
 
 
+@pytest.mark.slow
 def test_names_are_text_and_folders_are_nobodys(page: str, full: Path) -> None:
     assert "<script>alert" not in page and "&lt;script&gt;alert(1)&lt;/script&gt;" in page
     assert page.count("<script") == 2, "the viewer and its data"
@@ -99,6 +102,7 @@ def test_names_are_text_and_folders_are_nobodys(page: str, full: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_contents_lead_to_every_section(page: str) -> None:
     links = re.findall(r'<a href="#(\w+)">([^<]+)</a>', page)
     assert links == re.findall(r'<h2 id="(\w+)">([^<]+)</h2>', page)
@@ -107,6 +111,7 @@ def test_the_contents_lead_to_every_section(page: str) -> None:
         assert f"<dt>{word}</dt>" in page
 
 
+@pytest.mark.slow
 def test_every_image_has_a_state_and_what_is_not_used_a_reason(full: Path, page: str) -> None:
     rows = image_rows(read_run(full, 1000))
     assert len(rows) == 61 and rows[0].state == LEFT_OUT
@@ -139,6 +144,7 @@ def test_images_that_hang_on_a_wide_camera_are_listed_as_such(tmp_path: Path) ->
         assert all((reason in row.reason) == (row.state == ABSENT) for row in rows if row.state in (ABSENT, HANGING))
 
 
+@pytest.mark.slow
 def test_the_file_for_programs_is_as_its_schema_says(full: Path, page: str, tmp_path: Path) -> None:
     validator = jsonschema.Draft202012Validator(schema())
     validator.check_schema(schema())
@@ -156,6 +162,7 @@ def test_the_file_for_programs_is_as_its_schema_says(full: Path, page: str, tmp_
         validator.validate({**data, "counts": {}})
 
 
+@pytest.mark.slow
 def test_the_japanese_page_has_the_same_figures(japanese: str, page: str, full: Path) -> None:
     assert check(full, japanese) == check(full, page) and unmarked(japanese) == []
     assert (
@@ -171,6 +178,7 @@ def test_the_japanese_page_has_the_same_figures(japanese: str, page: str, full: 
     assert headings and not any(h.isascii() for h in headings)
 
 
+@pytest.mark.slow
 def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pytest.MonkeyPatch, full: Path) -> None:
     known = texts.table("ja")["page"]
     template = environment().loader.get_source(environment(), "template.html.jinja")[0]  # type: ignore[union-attr]
@@ -190,6 +198,7 @@ def test_every_text_of_the_page_is_in_the_table(japanese: str, monkeypatch: pyte
     assert texts.t("Glossary") == "Glossary"
 
 
+@pytest.mark.slow
 def test_maps_and_overlap_are_drawn_where_the_data_are(full: Path) -> None:
     seen = maps.scenery(read_run(full, 5000))
     assert seen.north
@@ -232,6 +241,7 @@ def test_the_page_prints(page: str, full: Path, tmp_path: Path) -> None:
     assert data[:4] == b"%PDF" and 20_000 < len(data) < 10e6
 
 
+@pytest.mark.slow
 def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path, page: str) -> None:
     keys = check(full, page)
     layers = set(make_accuracy().values())
@@ -243,6 +253,7 @@ def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path, page: s
     assert order == sorted(order) and order[0] < top.index("are registered")
 
 
+@pytest.mark.slow
 def test_the_check_finds_what_it_is_for(full: Path, page: str) -> None:
     with pytest.raises(AssertionError):
         check(full, page.replace(">2.58 m<", ">2.50 m<"))
@@ -285,6 +296,7 @@ def plate(z: float, half: float, colour: list[int], points: int = 60_000) -> tup
     return xyz, np.tile(np.array(colour, np.uint8), (points, 1))
 
 
+@pytest.mark.slow
 def test_the_upper_plate_hides_the_lower() -> None:
     (low, low_rgb), (high, high_rgb) = plate(0, 10, RED), plate(2, 4, BLUE)
     for order in (1, -1):
@@ -407,6 +419,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [make_run(base / "conventional", seed=2), make_run(base / "meguro2024")]
 
 
+@pytest.mark.slow
 def test_the_papers_tables(runs: list[Path], tmp_path: Path) -> None:
     text = compare_runs(runs, tmp_path / "deep" / "compare.html")
     times = ("Mask image creation", "Matching list creation", "Feature matching", "MVS", "Total time")
@@ -417,6 +430,7 @@ def test_the_papers_tables(runs: list[Path], tmp_path: Path) -> None:
     assert "meguro2024" in page and "Total time" in page and "https://" not in page
 
 
+@pytest.mark.slow
 def test_sums_are_of_the_right_stages(runs: list[Path]) -> None:
     wall = {name: values for name, values in compared(runs).blocks[0].rows}
     parts = ("Mask image creation", "SfM, all of it", "MVS (dense and cloud)", "Scan, evaluation, report")
@@ -428,6 +442,7 @@ def test_sums_are_of_the_right_stages(runs: list[Path]) -> None:
     assert wall["Total time"][0] > wall["Total time"][1]
 
 
+@pytest.mark.slow
 def test_unequal_runs_are_called_so(runs: list[Path], tmp_path: Path) -> None:
     stopped = make_run(tmp_path / "stopped", "design")
     scene = (stopped / "scene.json").read_text().replace("up/cam0/000000.jpg", "up/cam0/000000x.jpg")
@@ -454,6 +469,7 @@ def test_lengths_of_a_model_without_scale_are_not_called_metres(runs: list[Path]
     assert "units" in label(runs[0], free) and "m, or" in label(runs[0], free)
 
 
+@pytest.mark.slow
 def test_names_are_told_apart_and_printed_letter_by_letter(tmp_path: Path) -> None:
     folders = [make_run(tmp_path / a / "out", "scan") for a in ("a", "b")]
     assert compared(folders).names == ("a/out", "b/out")
@@ -462,6 +478,7 @@ def test_names_are_told_apart_and_printed_letter_by_letter(tmp_path: Path) -> No
     assert all(name in text for name in names)
 
 
+@pytest.mark.slow
 def test_misuse_and_pages_of_others(runs: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "compare.html"
     for _ in range(2):  # its own page is overwritten

@@ -407,6 +407,7 @@ def test_parameters_of_another_size_are_rescaled_and_of_another_shape_refused(tm
         scan(_photographs(tmp_path / "square", (64, 64)), camera=WORDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text, words",
     [

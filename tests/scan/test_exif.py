@@ -256,6 +256,7 @@ def test_a_survey_on_both_sides_of_180_degrees_is_one_place(tmp_path: Path, crs:
     assert np.linalg.norm(steps, axis=1) == pytest.approx(np.full(3, 21.3), abs=0.05)  # 0.0002 deg at 16.8 south
 
 
+@pytest.mark.slow
 def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
     when = {"time": "2023:09:15 10:00:00", "subsec": "25", "offset": "+09:00"}
     exif = exif_of(make="Canon\0", model="EOS", focal_35mm=50, lat=35.5, lon=-120.25, alt=-3, **when)
@@ -271,6 +272,7 @@ def test_exif_3_heights_below_sea_level(reference: int, height: float) -> None:
     assert facts({5: bytes([reference])}, lat=31.5, lon=35.5, alt=428).height_m == height
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "size, smaller",
     [((6000, 4000), 1.0), ((1500, 1000), 0.25), ((1000, 1500), 0.25), ((4000, 4000), 1.0), ((1000, 1000), 0.25)],

@@ -196,6 +196,7 @@ def test_a_crs_that_is_only_near_is_said(one_pass: Survey, tmp_path: Path) -> No
     assert not says(scan_gnss(one_pass, tmp_path, table(), "EPSG:6677").notes, "area of use")
 
 
+@pytest.mark.slow
 def test_a_crs_without_positions_is_said_and_checked(one_pass: Survey) -> None:
     for crs, code in (("EPSG:6677", "EPSG:6677"), ("UTM10N", "EPSG:32610")):
         notes = one_pass.scan(ScanSettings(crs=crs)).notes
@@ -425,6 +426,7 @@ def written(folder: Path, data: str | bytes) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_gives_the_places_of_the_csv(canal: Canal, by_csv: Scene, tmp_path: Path, name: str) -> None:
     write, kind, sigma = FORMATS[name]
@@ -438,6 +440,7 @@ def test_every_format_gives_the_places_of_the_csv(canal: Canal, by_csv: Scene, t
         np.testing.assert_allclose(found.position_sigma_m, by_csv.position_sigma_m, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["nmea by the frames' day", "sbet", "rtklib"])
 def test_georef_reads_the_rows_on_the_frames_clock(canal: Canal, tmp_path: Path, name: str) -> None:
     write, kind, _ = FORMATS[name]
@@ -452,6 +455,7 @@ def since_1980(rows: Table) -> str:
     return "time,lat,lon,height\n" + "".join(f"{DAY + 18 - 315964800 + t},{a},{o},{h}\n" for t, a, o, h, *_ in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "data, kind, words",
     [

@@ -58,6 +58,7 @@ def toml(folder: Path, text: str = TOML) -> Path:
     return path
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.floats(-179, 179), st.floats(-90, 90), st.floats(-179, 179), st.sampled_from(sorted(AXES)))
 def test_angles_and_rotation_are_inverse(yaw: float, pitch: float, roll: float, axes: str) -> None:
@@ -196,6 +197,7 @@ def test_a_camera_of_another_size_is_rescaled_and_of_another_shape_refused(tmp_p
             scan(tmp_path / "in", rig=str(toml(tmp_path, text.replace(old, new))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, cameras, up", [("ladybug5", 6, True), ("ladybug5", 5, False), ("ring:4", 4, False)])
 def test_ring_presets_are_nominal_common_centre_and_equally_spaced(
     tmp_path: Path, name: str, cameras: int, up: bool

@@ -90,6 +90,7 @@ def test_positions_and_rotations_are_camera_to_body(tmp_path: Path, written: str
     np.testing.assert_allclose(pose, same, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_guessed_focal_length_does_not_become_a_statement(tmp_path: Path, written: str) -> None:
     assert "params" not in "".join(x for x in written.splitlines() if not x.startswith("#"))
     (tmp_path / "rig.toml").write_text(written)
@@ -102,6 +103,7 @@ def test_a_guessed_focal_length_does_not_become_a_statement(tmp_path: Path, writ
     assert (tmp_path / "out" / "rig.toml").read_text().count("\nparams = ") == 2
 
 
+@pytest.mark.slow
 def test_init_says_what_else_may_be_given(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     for k in range(3):
         picture(tmp_path / "in" / f"{k}.jpg")

@@ -116,6 +116,7 @@ def test_a_guessed_lens_stays_whole_and_says_so(tmp_path: Path) -> None:
         scan(images, ScanSettings(fisheye="views"))
 
 
+@pytest.mark.slow
 def test_what_the_user_asks_for_holds_and_a_narrow_fisheye_stays_whole(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in", frames=1)
     rig = rig_config(tmp_path / "rig_config.json", LENS)
@@ -126,6 +127,7 @@ def test_what_the_user_asks_for_holds_and_a_narrow_fisheye_stays_whole(tmp_path:
     assert len(narrow.all_sensors) == 2 and not says(narrow.notes, "fisheye images")
 
 
+@pytest.mark.slow
 def test_a_lens_alone_is_cut_all_round_its_axis(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in", frames=2) / "fish_a"
     lens = [{"cameras": [{"image_prefix": "", "ref_sensor": True, **camera(LENS)}]}]
@@ -135,6 +137,7 @@ def test_a_lens_alone_is_cut_all_round_its_axis(tmp_path: Path) -> None:
     assert np.allclose(axes, [[0, 0, 1], [a, 0, b], [-a, 0, b], [0, -a, b], [0, a, b]]) and rig.fixed
 
 
+@pytest.mark.slow
 def test_lenses_that_lie_on_their_sides_have_level_views_too(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in", frames=1)
     rolled = {"cam_from_rig_rotation": [0, 1, 0, 0], "cam_from_rig_translation": [0, 0, -0.03]}
@@ -194,6 +197,7 @@ def test_two_circles_side_by_side_are_two_lenses_back_to_back(tmp_path: Path) ->
     assert says(scene.notes, "taken as upright")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roll", "second"), [(b"89.9", [1, -1, -1]), (b"0.1", [-1, 1, -1]), (b"-90.0", [1, -1, -1])])
 def test_the_factory_says_how_the_lenses_are_rolled(tmp_path: Path, roll: bytes, second: list[int]) -> None:
     rig = scan(side_by_side(tmp_path / "in", 2, FACTORY % (roll, roll))).rigs[0]
@@ -231,6 +235,7 @@ def sphere(focal_px: float = FOCAL, middle: float = SIDE / 2) -> bytes:
     return f"\x01\x022_{lens.format(middle)}_{lens.format(middle + 240)}_{(3 << 16) + 1024}\0".encode()
 
 
+@pytest.mark.slow
 def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) -> None:
     old = FACTORY % (b"0.1", b"0.2")
     scene = scan(side_by_side(tmp_path / "in", 2, old + sphere()))
@@ -248,6 +253,7 @@ def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) ->
     assert len(scan(tmp_path / "in", ScanSettings(fisheye="views")).all_sensors) == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [sphere(focal_px=52.0), sphere(middle=125.0), sphere().replace(b"1.0_", b"-9.0_")])
 def test_what_does_not_fit_the_circles_is_not_used_and_said(tmp_path: Path, words: bytes) -> None:
     scene = scan(side_by_side(tmp_path / "in", 2, words))
@@ -286,6 +292,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Scene]:
     return folder, scan(folder)
 
 
+@pytest.mark.slow
 def test_each_panorama_is_a_frame_of_views_with_one_centre(walk: tuple[Path, Scene]) -> None:
     _, scene = walk
     assert (len(scene), scene.frames, scene.sequences != ()) == (24, 4, True)
@@ -411,6 +418,7 @@ def test_black_poles_and_sides_are_masked(tmp_path: Path, mode: str) -> None:
         assert (shown == inside)[~edge].all()
 
 
+@pytest.mark.slow
 def test_photographs_of_that_shape_are_no_panoramas(tmp_path: Path) -> None:
     with Image.open(panorama(tmp_path / "p.jpg", 0.5)) as whole:
         assert is_equirectangular(whole, PanoramaTuning())
@@ -420,6 +428,7 @@ def test_photographs_of_that_shape_are_no_panoramas(tmp_path: Path) -> None:
         assert not is_equirectangular(Image.new("RGB", (1200, 600), (90, 150, 220)), PanoramaTuning())
 
 
+@pytest.mark.slow
 def test_the_user_may_say_so(tmp_path: Path) -> None:
     for k in range(3):
         picture(tmp_path / f"{k}.jpg", (1200, 600))
@@ -494,6 +503,7 @@ def test_numbers_of_micasense_are_bands_and_their_xmp_turns_them(tmp_path: Path)
     np.testing.assert_allclose(rig.sensors[1].sensor_from_rig[:3, :3], expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_names_alone_do_for_micasense_but_not_for_rows_and_columns(tmp_path: Path) -> None:
     for shot in range(4):
         for index in range(1, 6):
@@ -540,6 +550,7 @@ def _lens(path: Path, name: str, **tags: object) -> None:
     picture(path, exif=exif)
 
 
+@pytest.mark.slow
 def test_several_lenses_of_one_make_are_several_cameras(tmp_path: Path) -> None:
     """And one lens is one camera also where some files do not say it."""
     for k in range(40):  # enough, and numbered evenly: a sequence by its names

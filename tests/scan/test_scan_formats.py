@@ -67,6 +67,7 @@ def prepared(folder: Path) -> np.ndarray:
     return pixels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".heic", ".avif", ".dng", ".jp2"])
 def test_formats_of_cameras_are_read_upright_and_with_their_exif(tmp_path: Path, kind: str) -> None:
     want = np.rot90(LARGE[..., ::-1], -1)  # orientation 6; OpenCV's order of channels
@@ -192,6 +193,7 @@ def test_tiff_of_any_depth_is_turned_once(tmp_path: Path, orientation: int, dept
     assert np.abs(found - scaled).max() <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".tif", ".ppm", ".jp2", ".png"])
 def test_colours_of_twelve_bits_keep_them_in_every_format(tmp_path: Path, suffix: str) -> None:
     ramp = np.tile(np.linspace(0, 4095, 256).astype(np.uint16)[:, None], (64, 1, 3)).reshape(64, 256, 3)

@@ -209,6 +209,7 @@ def test_undistorted_pixels_are_where_the_pinhole_camera_says(tmp_path: Path, mo
         assert np.linalg.norm(centre - (u, v)) < 0.35  # px; blobs lose a little of their symmetry
 
 
+@pytest.mark.slow
 def test_scene_camera_is_that_of_the_prepared_image(tmp_path: Path) -> None:
     for k in range(3):
         picture(tmp_path / "in" / f"{k}.png", (320, 240))

@@ -58,6 +58,7 @@ def test_papers_layout(three_cameras: Survey) -> None:
     assert not says(scene.notes, "repeat") and scene.exposure is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "folders, cameras, passes",
     [
@@ -82,6 +83,7 @@ def test_folder_layouts(tmp_path: Path, folders: tuple[str, ...], cameras: int, 
     assert len(scene) == 30 * len(folders) and not scene.dropped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("north", "south", "step_s", "cameras", "words"),
     [
@@ -107,6 +109,7 @@ def test_two_flights_with_equal_file_names_are_no_rig(
     assert says(scene.notes, words) if words else not says(scene.notes, "no cameras of a rig")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_s", [0.05, 1.0])
 def test_images_named_by_their_times_are_paired_by_these_though_each_camera_lost_one(
     tmp_path: Path, step_s: float
@@ -211,6 +214,7 @@ def test_a_sensor_whose_images_are_all_broken_leaves_the_rig(tmp_path: Path) -> 
     assert [s.name for s in scene.all_sensors] == ["cam1", "cam2"] and len(scene.dropped) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pattern, count, loose",
     [
@@ -331,6 +335,7 @@ def test_scene_survives_json(tmp_path: Path) -> None:
     assert source.crop_px == other.crop_px == (1, 1, 1, 1)
 
 
+@pytest.mark.slow
 def test_four_thousand_images_take_seconds() -> None:
     probe = probe_image(data("canal_demo", "images", "up", "cam0", "000000.jpg"), ImageTuning())
     from dataclasses import replace
@@ -341,6 +346,7 @@ def test_four_thousand_images_take_seconds() -> None:
     assert (len(scene), scene.frames) == (4008, 668)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "folder, rigs, sensors, frames, loose",
     [

@@ -35,6 +35,7 @@ def scanned(images: Path, out: Path, *more: str) -> int:
     return main(["run", str(images), "-o", str(out), "--pool", "serial", "--quiet", "--until", "scan", *more])
 
 
+@pytest.mark.slow
 def test_pipes_devices_and_rings_of_links_among_the_images_are_left_out_with_a_reason(images, tmp_path):
     os.mkfifo(images / "up/cam0/pipe.jpg")
     (images / "up/cam0/zero.jpg").symlink_to("/dev/zero")
@@ -54,6 +55,7 @@ def test_pipes_devices_and_rings_of_links_among_the_images_are_left_out_with_a_r
     assert len(passed) == 4 and sum("above leads up to /" in note for note in passed) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["--gnss", "--times", "--rig", "--trajectory", "--gcp"])
 def test_a_pipe_as_an_input_file_is_refused(images, tmp_path, option, capsys):
     pipe = tmp_path / "pipe.toml"
@@ -63,6 +65,7 @@ def test_a_pipe_as_an_input_file_is_refused(images, tmp_path, option, capsys):
     assert str(pipe) in said and "a named pipe, not a file" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pool", ["local:100000", "local:0", "local:-1", "local:x", "serial:3", "local:9" + "9" * 5000])
 def test_an_impossible_pool_is_refused_before_anything_starts(images, tmp_path, pool, capsys):
     assert main(["run", str(images), "-o", str(tmp_path / "out"), "--pool", pool]) == 2

@@ -253,6 +253,7 @@ def test_a_rig_tells_the_unit_of_a_start(tmp_path: Path) -> None:
     assert scene.guessed == bare.guessed, "a model tells no order"
 
 
+@pytest.mark.slow
 def test_a_start_is_laid_on_positions_tilted_or_not(tmp_path: Path) -> None:
     """A drone's images that look down have no common direction that is up: a similarity places them."""
     truth = {}

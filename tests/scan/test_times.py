@@ -331,6 +331,7 @@ def test_folders_without_a_trajectory_for_a_pass(two_passes: Survey, vo: Path) -
         two_passes.scan(trajectory=vo / "nowhere")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.4])
 def test_odometry_laid_on_gnss_gives_poses_in_the_world(tmp_path: Path, vo: Path, scale: float) -> None:
     """Two passes, each odometry in its own world and scale, GNSS off the body, an outage in the middle."""
@@ -359,6 +360,7 @@ def test_odometry_laid_on_gnss_gives_poses_in_the_world(tmp_path: Path, vo: Path
         assert 0 < miss[4:8].max() < 0.15 and 0 < miss[:4].max() < 0.15
 
 
+@pytest.mark.slow
 def test_canal_gnss_and_odometry() -> None:
     """Real-looking sensors: outages under the bridge, single fixes, drifting odometry per pass."""
     sensors = data("canal_demo", "sensors")
@@ -409,6 +411,7 @@ def transforms(poses: dict[str, np.ndarray], prefix: str = "./images/", **more: 
     return json.dumps({"camera_model": "OPENCV", "w": 64, "h": 48, "frames": frames, **more})
 
 
+@pytest.mark.slow
 def test_a_colmap_model_is_a_trajectory(canal: Path) -> None:
     scene = scan(canal / "images", rig=str(canal / "rig.toml"), trajectory=canal / "truth" / "colmap")
     assert scene.prior == "trajectory" and same(scene, truth(canal)) == 20

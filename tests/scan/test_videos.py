@@ -52,6 +52,7 @@ def take(video: Path, folder: Path, per_second: float) -> Pictures:
     return take_pictures(Recording(video), folder, sharpest(per_second), VideoClock(), PICTURES)
 
 
+@pytest.mark.slow
 def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:
     video = seconds_of(tmp_path / "river.avi", 6)
     taken = take(video, tmp_path / "out" / "river", 1.0)
@@ -78,6 +79,7 @@ def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
     assert (len(scene), scene.sequences, len(scene.all_sensors)) == (40, ("morning", "noon"), 1)
 
 
+@pytest.mark.slow
 def test_a_video_is_a_sequence_however_short(tmp_path: Path) -> None:
     take(seconds_of(tmp_path / "in" / "walk.avi", 3), tmp_path / "out" / "walk", 1.0)
     scene = scan(tmp_path / "out", video=True)
@@ -86,6 +88,7 @@ def test_a_video_is_a_sequence_however_short(tmp_path: Path) -> None:
     assert scan(tmp_path / "out").sequences == ()  # of three photographs nobody knows
 
 
+@pytest.mark.slow
 def test_videos_of_different_cameras_are_sequences_of_rigs_of_their_own(tmp_path: Path) -> None:
     take(seconds_of(tmp_path / "in" / "boat.avi", 3), tmp_path / "out" / "boat", 1.0)
     for k in range(3):
@@ -344,6 +347,7 @@ def test_videos_of_different_motion_are_refused() -> None:
     assert "shorter than the 2 s" in find_offset(brief, brief, OFFSET).refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s, word", [(0.055, "halves differ by"), (0.3, "no offset stands out")])
 def test_a_clock_that_jumps_is_refused(late_s: float, word: str) -> None:
     whole = drawn(1, 2.0, MIX[1])
@@ -439,6 +443,7 @@ def test_videos_of_two_lenses_become_a_rig(tmp_path: Path) -> None:
     assert scene.rigs[0].nominal and (tmp_path / "out2" / "images" / scene.names[7]).exists()
 
 
+@pytest.mark.slow
 def test_videos_of_two_cameras_are_not_one_recording_by_their_ending(tmp_path: Path) -> None:
     for k in (0, 1):
         shot(tmp_path / "in" / f"cam{k}.insv", seed=1 + k)

@@ -46,6 +46,7 @@ def odometry(topic: str = "/odom") -> list[world.Row]:
 # --- positions ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_fixes_have_the_time_of_their_header_and_the_sigmas_of_their_covariance(tmp_path: Path, form: str) -> None:
     rows = fixes(sigma_m=(0.02, 0.03, 0.05)) + [world.fix("/gps/fix", TIMES[0] + 0.1, (0, 0, 0), status=-1)]
@@ -79,6 +80,7 @@ def test_compressed_bags_are_read(tmp_path: Path, form: str, packed: tuple) -> N
     assert np.array_equal(found.lat_lon_height, LLH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
     more = [world.fix("/rtk/fix", t, p + [0, 0, 1]) for t, p in zip(TIMES, LLH)]
@@ -121,6 +123,7 @@ def as_poses(topic: str) -> list[world.Row]:
     return [world.pose(topic, *row) for row in zip(TIMES, PLACES, TURNS.as_quat())]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("made", [odometry, as_poses, as_path])
 def test_poses_have_their_quaternions_in_order(tmp_path: Path, form: str, made) -> None:
@@ -132,6 +135,7 @@ def test_poses_have_their_quaternions_in_order(tmp_path: Path, form: str, made) 
     assert "poses of /slam" in found.notes[0] and ("base_link in 'odom'" in found.notes[0]) == (made is odometry)
 
 
+@pytest.mark.slow
 def test_poses_that_cannot_be_are_refused_with_their_number(tmp_path: Path) -> None:
     at = TIMES[1] + 0.1
     for name, rows, words in (
@@ -191,6 +195,7 @@ def test_encodings_become_the_colours_they_stand_for(tmp_path: Path, encoding, p
     assert np.abs(found[inside].astype(int) - truth[inside]).max() <= off
 
 
+@pytest.mark.slow
 def test_compressed_pictures_and_what_is_none(tmp_path: Path) -> None:
     found = decoded(tmp_path / "a", world.compressed("/image/compressed", START_S, SMOOTH))
     assert np.array_equal(found, SMOOTH)
@@ -216,6 +221,7 @@ def cut(path: Path, form: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "form, tool", [("ros1", "rosbag reindex"), ("sqlite", "sqlite3 .recover"), ("mcap", "mcap recover")]
 )

@@ -251,6 +251,7 @@ def wall(count: int, seed: int, origin: Origin | None) -> Cloud:
     return Cloud(xyz, grey, normal, np.full(count, 0.01, np.float32), np.full(count, 3, np.uint8), origin)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", [UTM, None], ids=["utm", "free"])
 def test_the_whole_cloud_comes_back_from_any_reader(tmp_path: Path, origin: Origin | None) -> None:
     parts = [wall(30_000, 0, origin), wall(1, 3, origin), wall(20_000, 1, origin)]
@@ -323,6 +324,7 @@ const get = async (from, to) => new Uint8Array(b.subarray(from, to));
 """
 
 
+@pytest.mark.slow
 def test_the_reader_of_web_viewers_opens_it(tmp_path: Path) -> None:
     """npm ``copc``, which Potree, iTowns and giro3d bundle: `npm install -g copc` and NODE_PATH=$(npm root -g)."""
     node = shutil.which("node")

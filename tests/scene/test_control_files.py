@@ -102,6 +102,7 @@ def test_places_that_do_not_fit_the_survey(tmp_path) -> None:
     assert len(locate(_odm(tmp_path, f"{EAST} {NORTH} -600 1 1 000.jpg\n"), _scene(), heights_m=(-700, 10))) == 1
 
 
+@pytest.mark.slow
 def test_heights_above_a_geoid_need_its_grid() -> None:
     assert "ellipsoid" in vertical_note("EPSG:6677")
     assert "JGD2011 (vertical)" in vertical_note("EPSG:6677+6695")
@@ -227,6 +228,7 @@ def test_names_in_a_list_of_tabs_may_have_blanks(tmp_path: Path) -> None:
     assert (mark.image, mark.name) == ("DJI 0001 (2).JPG", "point one")
 
 
+@pytest.mark.slow
 def test_marks_without_points_are_refused_before_anything_is_made(tmp_path: Path, capsys) -> None:
     (tmp_path / "in").mkdir()
     marks = written(tmp_path, MARKS, "marks.csv")

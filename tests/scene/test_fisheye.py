@@ -29,6 +29,7 @@ def lit_by(pixels: np.ndarray, circle: tuple[float, float, float], blur_px: floa
     return (pixels * np.clip(off / blur_px + 0.5, 0, 1)[..., None]).clip(noise, 255).astype(np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "circle", [(320.0, 320.0, 290.0), (310.0, 331.0, 300.0), (322.0, 316.0, 340.0), (320.0, 330.0, 210.0)]
 )
@@ -40,6 +41,7 @@ def test_the_circle_of_a_lens_is_found(circle: tuple[float, float, float]) -> No
     assert np.abs(np.subtract(found[0], circle)).max() < 0.01 * circle[2]
 
 
+@pytest.mark.slow
 def test_two_circles_side_by_side_are_found() -> None:
     left, right = (252.0, 249.0, 240.0), (248.0, 251.0, 241.0)
     halves = [lit_by(blots(500, 500, seed), circle) for seed, circle in enumerate((left, right))]
@@ -50,6 +52,7 @@ def test_two_circles_side_by_side_are_found() -> None:
     assert image_circles(panorama, TUNING) == ()
 
 
+@pytest.mark.slow
 def test_nothing_else_has_a_circle() -> None:
     frame = np.zeros((480, 640, 3), np.uint8)
     frame[80:400, 60:580] = blots(520, 320)  # a picture in a black frame

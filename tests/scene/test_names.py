@@ -161,6 +161,7 @@ def test_names_in_the_normal_forms_of_two_systems_are_one(
     assert scene.has_positions() and "1 pairs from pairs.txt" in said and "not here" not in said
 
 
+@pytest.mark.slow
 def test_two_files_that_only_differ_in_their_normal_form_are_kept_and_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -197,6 +197,7 @@ def test_missing_or_damaged_database_is_explained(tmp_path):
         db.feature_counts(tmp_path / "bad.db")
 
 
+@pytest.mark.slow
 def test_the_bytes_tell_nothing_of_the_order_of_writing(tmp_path):
     found, at_once, one_by_one = features(), tmp_path / "a.db", tmp_path / "b.db"
     filled_database(at_once, scene())
@@ -237,6 +238,7 @@ def process(rng: np.random.Generator, count: int, r: float) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "r"), [(12, 0.0), (12, 0.6), (30, 0.0), (30, 0.6), (100, 0.8)])
 def test_noise_is_no_trend(count: int, r: float) -> None:
     rng = np.random.default_rng(count)
@@ -244,6 +246,7 @@ def test_noise_is_no_trend(count: int, r: float) -> None:
     assert alarms <= 1  # 0.1 % by construction, where the correlation is known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["line", "curve", "step"])
 def test_what_is_larger_than_the_noise_is_found_by_its_form(form: str) -> None:
     rng, x = np.random.default_rng(3), np.linspace(-1, 1, 40)
@@ -281,6 +284,7 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     assert trend(0.5 + 0.02 * rng.standard_normal(30), TUNING) is None
 
 
+@pytest.mark.slow
 def test_values_that_are_not_equally_good_count_by_their_sigmas() -> None:
     """A receiver that loses its fix below a bridge: positions of 2 cm before and after, of metres in between, whose
     errors go together. That is no jump; one of 0.3 m between the good ones is."""
@@ -310,6 +314,7 @@ def test_statements_that_cannot_both_be_right() -> None:
     assert [r[6] for r in rows] == ["GNSS positions", "rig as given", "rig as given", ""]
 
 
+@pytest.mark.slow
 def test_readings_that_are_no_better_are_called_so_once_in_a_thousand() -> None:
     """Of 4000 surveys in which both readings are as good, and of as many in which one is clearly better."""
     rng, free, pairs = np.random.default_rng(0), 8, 12

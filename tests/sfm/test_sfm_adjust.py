@@ -25,6 +25,7 @@ from tiegraph.sfm.adjustment.adjust import (
 )
 from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning, Tuning
 
+pytestmark = pytest.mark.slow
 TUNING = AdjustTuning()
 FEW = FewPointsTuning(cells=2, in_a_cell=5)
 
@@ -59,7 +60,6 @@ def test_what_one_shot_alone_saw_goes_unless_a_frame_has_little_else(tmp_path: P
     assert np.array_equal(sorted(model.point3D_ids()), before)
 
 
-@pytest.mark.slow
 def test_a_large_adjustment_gives_the_same_bits_each_time(tmp_path: Path) -> None:
     # COLMAP solves those with fewer than 50 000 residuals on one thread anyway.
     model, scene = make_world(tmp_path / "database.db", cameras=2, frames=9, points=1500)
@@ -146,7 +146,6 @@ def test_the_points_of_a_model_that_was_bent_straight_go_with_their_images(tmp_p
     assert still.compute_mean_reprojection_error() > 50
 
 
-@pytest.mark.slow
 def test_the_end_is_that_of_all_points(tmp_path: Path) -> None:
     """The last adjustment takes all points, and those that waited are brought to where their rays meet before."""
     model, scene = make_world(tmp_path / "world.db", points=400)
@@ -217,7 +216,6 @@ def test_an_extended_camera_projects_as_before_and_is_taken_over_with_its_model(
     assert np.array_equal(read.camera(1).params, wide.camera(1).params)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("model", ["RADIAL", "SIMPLE_RADIAL"])
 def test_free_radial_cameras_get_all_terms(tmp_path, model: str) -> None:
     """With one radial term the second is taken up by the focal length."""
@@ -232,7 +230,6 @@ def test_free_radial_cameras_get_all_terms(tmp_path, model: str) -> None:
     assert held.camera(1).model.name == model and held.camera(2).model.name == "OPENCV"
 
 
-@pytest.mark.slow
 def test_the_final_adjustment_finds_aspect_and_decentring_and_the_rig_gains(tmp_path, monkeypatch) -> None:
     truth, start = _world(tmp_path)
     found = final_adjustment(start, tuning=Tuning().adjust).model

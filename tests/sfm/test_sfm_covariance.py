@@ -51,6 +51,7 @@ def world(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=6, noise_px=0.0)
 
 
+@pytest.mark.slow
 def test_a_sigma_covers_another_place_of_a_frame(world) -> None:
     told = position_sigma(_noisy(world[0], 0.5, 0), free_intrinsics=False, free_rig=False, tuning=TUNING)
     step = np.array([0.0, 3.0, -4.0])
@@ -126,6 +127,7 @@ def test_sigma_is_right_for_errors_with_tails_that_tracks_share(world) -> None:
     assert 0.8 < ratio < 1.25, ratio
 
 
+@pytest.mark.slow
 def test_points_that_are_not_quite_at_their_minimum_say_nothing_of_the_frames(world) -> None:
     """An adjustment stops where points that few rays hold may still slide along them (sigma of the boat: 19 fold)."""
     truth, _ = world
@@ -155,6 +157,7 @@ def test_interior_orientation_tells_sigmas_and_correlations(world) -> None:
     assert position_sigma(_noisy(truth, 0.5, 0), False, False, tuning=TUNING).interior == ()
 
 
+@pytest.mark.slow
 def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
     truth, _ = world
     model = _noisy(truth, 0.5, 0)
@@ -162,6 +165,7 @@ def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
     assert known.median < free.median < 50 * known.median and free.median <= free.p90
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("others", [1, 9])
 def test_a_frame_whose_points_no_two_others_see_has_an_unknown_distance(others: int) -> None:
     """Along a straight path: across it two rays tell, along it nothing; it is named, its neighbours behind it."""

@@ -89,6 +89,7 @@ def test_scale_that_is_held_back_has_no_derivative() -> None:
         np.testing.assert_array_equal(rows[..., 6], 0.0)
 
 
+@pytest.mark.slow
 def test_truth_is_found_with_lever_arm_and_clock() -> None:
     found = fit_similarity(replace(_winding(0.0), log_scale=None), UP, TUNING)
     assert found.similarity.scale == pytest.approx(TRUE.scale, rel=5e-4)
@@ -97,6 +98,7 @@ def test_truth_is_found_with_lever_arm_and_clock() -> None:
     assert found.offset_s == pytest.approx(LATE_S, abs=0.01) and found.inlier.all()
 
 
+@pytest.mark.slow
 def test_straight_track_needs_the_upward_direction() -> None:
     """Thirty upright poses on a straight level line; the model is turned, scaled and moved."""
     s = np.linspace(0, 100, 30)
@@ -159,6 +161,7 @@ def test_errors_over_their_sigmas(white, slow, lasts_s, bounds) -> None:
     assert np.median(sizes, axis=0) == pytest.approx([white, slow], rel=0.15, abs=0.35 * white)
 
 
+@pytest.mark.slow
 def test_each_level_of_the_stated_sigma_has_its_own_size() -> None:
     level = (np.arange(COUNT) < 60).astype(int)
     off = _errors(1.0, 1e-3, 60.0, np.random.default_rng(2)) * np.where(level, 4.0, 0.5)[:, None]
@@ -179,6 +182,7 @@ def test_an_upward_direction_that_the_positions_refute_is_not_used(turned_deg, w
     assert (found is up) == used and ("not used" in note) == (not used)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stated_m", "held"), [(2.0, True), (0.05, False)])
 def test_passes_that_errors_turn_over_each_other_are_held_upright_where_these_may_be_so_large(stated_m, held) -> None:
     """Of two passes 3 m apart one is 2.3 m too high: alone they lean by 50 degrees, and know it to a few."""
@@ -210,6 +214,7 @@ def test_where_no_position_is_believed_the_control_points_alone_tell() -> None:
     assert found.sigma["position_m"] == pytest.approx(0.1 * np.sqrt(2 / 6), rel=0.3)
 
 
+@pytest.mark.slow
 def test_what_the_model_bends_is_no_error_of_the_positions() -> None:
     """A way of 600 m bent by half a metre, without positions in its middle third: the errors of the similarity of all
     its frames over their sigmas, and what is left of the bend."""

@@ -37,6 +37,7 @@ from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.georeferencing import ConstantParameters, georeference_model
 from tiegraph.sfm.world.similarityfit import NotPlaced, SimilarityFit, fit_to_world
 
+pytestmark = pytest.mark.slow
 TUNING = Tuning()
 WORLD = TUNING.world
 FINE = WORLD.model_copy(update={"fixes": WORLD.fixes.model_copy(update={"floor_m": 0.01})})
@@ -47,7 +48,6 @@ def world(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=24)
 
 
-@pytest.mark.slow
 def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
     truth, scene = world
     control = control_of(truth, scene)
@@ -80,7 +80,6 @@ def _by_an_antenna(truth, scene) -> tuple[Scene, np.ndarray]:
     return with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm + noise, 0.03), arm
 
 
-@pytest.mark.slow
 def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     """A ring's scale and a lever arm along its radius are one unknown: solved to the end, a prior of no lever arm took
     the arm to nothing and moved the cameras by its length."""
@@ -98,7 +97,6 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     assert 0.2 < np.sqrt(np.mean(over**2)) < 2, "they are stated as well as they are met"
 
 
-@pytest.mark.slow
 def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(world) -> None:
     truth, scene = world
     placed, adjusted = world.measured(0.01, seed=5), GeorefSettings(adjust="yes")
@@ -116,7 +114,6 @@ def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(worl
     assert abs(loose - given[0, 3]) > 0.015 and loose == pytest.approx(unknown, abs=0.003)
 
 
-@pytest.mark.slow
 def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     truth, scene = world
     true, rng = world.centres, np.random.default_rng(2)
@@ -132,7 +129,6 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     assert lost.placed and any("pass 'down' has no position" in n for n in lost.findings.notes)
 
 
-@pytest.mark.slow
 def test_frames_that_see_no_point_do_not_end_the_process(world) -> None:
     """Their poses are constant to Ceres, and so is all that a position of theirs is compared with."""
     truth, scene = world
@@ -145,7 +141,6 @@ def test_frames_that_see_no_point_do_not_end_the_process(world) -> None:
     assert found.adjusted and 0.001 < world.error_m(placed) < 0.05
 
 
-@pytest.mark.slow
 def test_exchanged_axes_are_said_of_a_whole_model_only(world) -> None:
     """A part of a survey, or a model on few points, may be a mirror image itself: nothing is said then."""
     truth, scene = world
@@ -165,10 +160,9 @@ def test_exchanged_axes_are_said_of_a_whole_model_only(world) -> None:
     assert said(part) == (False, True, True)
 
 
-@pytest.mark.slow
 def test_of_a_right_survey_chance_alone_never_says_a_mirror_image(world) -> None:
     """Not where positions are so poor that they hardly tell the model's shape."""
-    for seed in range(20):
+    for seed in (0, 3, 8, 9, 19):  # of twenty those that fit best with exchanged axes, at most 1.02 times better
         found = world.placed_by(world.measured(10.0, seed))
         assert found.placed and not any("mirror image" in c for c in found.findings.contradictions)
 
@@ -197,7 +191,6 @@ def _straight(passes: int) -> tuple[np.ndarray, Scene, np.ndarray]:
     return poses, scene, place
 
 
-@pytest.mark.slow
 def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> None:
     poses, scene, place_m = _straight(2)
     right, turned = (with_positions(scene, p, 0.02) for p in (place_m, place_m[:, [1, 0, 2]]))
@@ -207,7 +200,6 @@ def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> N
     assert isinstance(_fitted(poses, turned, Measurements(firm_frames=20), RING), SimilarityFit)
 
 
-@pytest.mark.slow
 def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() -> None:
     """Not where cameras do look up and the heights tell it, nor of a part of a survey."""
     rng = np.random.default_rng(0)
@@ -233,14 +225,12 @@ def test_a_flight_at_one_height_with_exchanged_axes_looks_up_and_that_is_said() 
     assert "exchanged" in doubt(place, ceiling, place), "this nothing tells but the user"
 
 
-@pytest.mark.slow
 def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
     poses, scene, place_m = _straight(1)
     found = _fitted(poses, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), up=RING)
     assert isinstance(found, SimilarityFit) and any("cannot be detected" in n for n in found.notes)
 
 
-@pytest.mark.slow
 def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     """A boat goes out and back along an S at changing speed: five rows a second, a frame every two."""
     fine = np.arange(0, 80.01, 0.2)
@@ -294,7 +284,6 @@ def _drive(time_s: np.ndarray) -> Scene:
     return with_positions(scene, _path(time_s)[:, :3, 3], 0.02)
 
 
-@pytest.mark.slow
 def test_the_cameras_of_a_relaxed_rig_stay_together_where_positions_move_their_frames(world) -> None:
     """The second camera sees three points an image: these alone would leave it behind."""
     truth, scene = world
@@ -333,7 +322,6 @@ def test_frames_go_where_they_are_sent(bending) -> None:
     assert 0.99 < gone < 1.01 and made.num_points3D() > 0.5 * truth.num_points3D()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("sigma_m", "least", "most"), [(0.002, 0.9, 1.02), (5.0, -0.01, 0.05)])
 def test_positions_bend_a_model_by_as_much_as_they_are_better(bending, sigma_m, least, most) -> None:
     """The images are as sure of the largest mode of the shape as its sigma says, and are off by two of these."""
@@ -349,7 +337,6 @@ def test_positions_bend_a_model_by_as_much_as_they_are_better(bending, sigma_m, 
     assert (0.05 < ratio < 0.5) if sigma_m < 1 else (0.9 < ratio < 1.01), "the sigma says how much they told"
 
 
-@pytest.mark.slow
 def test_of_further_models_the_shape_is_computed(bending) -> None:
     truth, scene = bending
     survey = with_positions(scene, frame_centres(truth, scene), 0.05)
@@ -366,7 +353,6 @@ def world_georef(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=3, frames=20)
 
 
-@pytest.mark.slow
 def test_positions_bring_the_model_back(world_georef) -> None:
     noise = 0.1 * np.random.default_rng(0).standard_normal((20, 3))
     noise[3] = [8, 0, 0]  # an outlier
@@ -395,7 +381,6 @@ def test_positions_bring_the_model_back(world_georef) -> None:
         assert there["height_m"] == found.uncertainty.sigma["height_m"]
 
 
-@pytest.mark.slow
 def test_positions_that_do_not_tell_the_size_place_nothing(world_georef) -> None:
     """Twenty photographs from one spot, to which positions of 5 m give places a millimetre apart."""
     survey = with_positions(world_georef.scene, 0.001 * np.random.default_rng(0).standard_normal((20, 3)), 5.0)
@@ -413,7 +398,6 @@ def _antenna(world_georef: World) -> np.ndarray:
     return true[:, :3, 3] + true[:, :3, :3] @ ARM
 
 
-@pytest.mark.slow
 def test_lever_arm_given_and_estimated(world_georef) -> None:
     survey = with_positions(world_georef.scene, _antenna(world_georef), 0.05)
     without = world_georef.placed_by(survey, antenna="ignored")
@@ -424,7 +408,6 @@ def test_lever_arm_given_and_estimated(world_georef) -> None:
     assert any("estimated" in n for n in estimated.findings.notes)
 
 
-@pytest.mark.slow
 def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world_georef) -> None:
     antenna = _antenna(world_georef) + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
     antenna[3:8] += [0.9, -0.6, 1.2]  # with the same sigma stated
@@ -446,7 +429,6 @@ def test_fixed_rig_alone_gives_the_scale(world_georef) -> None:
         assert none.scale_source == "none" and any(said in n for n in none.findings.notes)
 
 
-@pytest.mark.slow
 def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world_georef) -> None:
     survey = with_positions(world_georef.scene, 1.03 * world_georef.centres, 0.05)
     sure, vague = (world_georef.placed_by(survey, Measurements(model_scale_sigma=s)) for s in (1e-4, 0.05))

@@ -158,6 +158,7 @@ def test_what_cannot_be_mapped_is_said(tmp_path: Path) -> None:
         _run(tmp_path, scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked, dies", [("auto", ""), ("global", ""), ("auto", "adjustment"), ("global", "mapping")])
 def test_a_child_that_dies_is_tried_in_its_safest_form(tmp_path: Path, monkeypatch, asked: str, dies: str) -> None:
     """The other mapper, asked for or not, then the model as mapped; what is missing is said, and once more is too much:
@@ -318,6 +319,7 @@ def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
     assert asked == ["incremental", "global"]
 
 
+@pytest.mark.slow
 def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
     wrong, job = _with_focal(truth, 1.02), _job(scene, settings=SparseSettings(refine_intrinsics="yes"))

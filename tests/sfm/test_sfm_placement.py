@@ -42,6 +42,7 @@ from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.oneworld import OneWorld, one_world
 
+pytestmark = pytest.mark.slow
 TUNING = PlacementTuning()
 
 
@@ -149,7 +150,6 @@ def test_where_else_a_frame_could_stand_is_found(world, tmp_path: Path, cameras:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frames", "scale"), [(range(5, 9), 1.0), (range(9, 14), 1.0), (range(7, 14), 1.0), (range(9, 14), 1.1)]
 )
@@ -176,7 +176,6 @@ def test_a_part_that_stands_wrong_moves_as_a_whole(world, tmp_path: Path, frames
     assert np.allclose(placed, now[sorted(moves)], atol=1e-9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("right", ["here", "there", "nowhere"])
 def test_measured_positions_decide_between_two_places_of_a_part(world, tmp_path: Path, right: str) -> None:
     """Whatever the matches say; where positions do not reach the part, or are too poor, the matches decide."""
@@ -345,7 +344,6 @@ def _with_positions(survey, moved_m=0.0, sigma_m=0.02):
     return with_positions(scene, true + noise, sigma_m)
 
 
-@pytest.mark.slow
 def test_matches_join_two_models_without_any_position_into_a_whole_one(survey, tmp_path) -> None:
     found = _joined(survey)
     (second,) = found.others
@@ -380,7 +378,6 @@ def test_an_image_of_two_models_stays_once(survey) -> None:
     assert not points
 
 
-@pytest.mark.slow
 def test_matches_that_agree_with_nothing_join_nothing(survey) -> None:
     scene, _, (first, _), verified = survey
     rng = np.random.default_rng(2)
@@ -403,7 +400,6 @@ def test_one_repeated_wall_joins_nothing(survey) -> None:
     assert found.others[0].by == ""
 
 
-@pytest.mark.slow
 def test_positions_place_what_no_match_joins(survey) -> None:
     found = _joined(survey, NONE, _with_positions(survey))
     (second,) = found.others
@@ -414,7 +410,6 @@ def test_positions_place_what_no_match_joins(survey) -> None:
     assert 1e-4 < np.median(off) < 0.06
 
 
-@pytest.mark.slow
 def test_without_matches_and_positions_a_model_stays_out_and_says_why(survey) -> None:
     for scene in (survey[0], _with_positions(survey).with_(prior="gnss")):
         poses = scene.world_from_rig.copy()
@@ -424,7 +419,6 @@ def test_without_matches_and_positions_a_model_stays_out_and_says_why(survey) ->
         assert found.model.num_reg_images() == 2 * FIRST
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("joins", [True, False])
 def test_the_largest_model_with_positions_carries_the_world(survey, joins) -> None:
     """As where a survey is cut at a bridge below which most of it lies, and no position."""
@@ -442,7 +436,6 @@ def test_the_largest_model_with_positions_carries_the_world(survey, joins) -> No
     assert 1e-4 < np.nanmedian(np.linalg.norm(off, axis=1)) < 0.06
 
 
-@pytest.mark.slow
 def test_one_place_for_all_frames_is_no_position(survey) -> None:
     """Phones write one place into all photographs of an object; the fit ended with an error."""
     scene = _with_positions(survey)
@@ -456,7 +449,6 @@ def test_one_place_for_all_frames_is_no_position(survey) -> None:
     assert "8 registered frames have a prior position (1 different ones)" in alone.findings.notes[0]
 
 
-@pytest.mark.slow
 def test_a_turn_about_the_track_that_is_open_keeps_a_model_out(survey) -> None:
     """Positions so loose that they tell the place and no turn."""
     found = _joined(survey, NONE, _with_positions(survey, sigma_m=5.0))
@@ -464,7 +456,6 @@ def test_a_turn_about_the_track_that_is_open_keeps_a_model_out(survey) -> None:
     assert found.model.num_reg_images() == 2 * FIRST
 
 
-@pytest.mark.slow
 def test_positions_that_contradict_the_matches_are_said(survey) -> None:
     right, wrong = (_joined(survey, scene=_with_positions(survey, moved)) for moved in (0.0, 3.0))
     assert right.others[0].by == wrong.others[0].by == "matches"

@@ -35,6 +35,7 @@ from tiegraph.sfm.tuning.rig import CameraMatchesTuning, DeriveTuning, PriorTest
 from tiegraph.sfm.verified import image_observations, read_verified
 from tiegraph.sfm.world.scale import rig_scale
 
+pytestmark = pytest.mark.slow
 LATE = 0.04
 TUNING = Tuning()
 
@@ -52,7 +53,6 @@ def _checked(
     return checked_rig(Checked(model=rigid or _rigid(model)), model, request)
 
 
-@pytest.mark.slow
 def test_a_good_rig_keeps_its_places() -> None:
     model, scene = moving_world(points=1500)
     found = _checked(model, scene)
@@ -62,7 +62,6 @@ def test_a_good_rig_keeps_its_places() -> None:
     assert all(row[3] < 0.1 and row[4] is None and row[5] == "" for row in rows)
 
 
-@pytest.mark.slow
 def test_a_rig_is_tested_though_one_of_its_cameras_sees_no_point() -> None:
     model, scene = moving_world()
     for k in [k for k in model.reg_image_ids() if model.image(k).camera_id == 3]:
@@ -74,7 +73,6 @@ def test_a_rig_is_tested_though_one_of_its_cameras_sees_no_point() -> None:
     assert [row[0] for row in found.tables["rig diagnostics"]["rows"]][:2] == ["cam0", "cam1"]
 
 
-@pytest.mark.slow
 def test_a_loose_camera_is_named_with_its_size_and_let_go() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2), points=1500)
     rigid = _rigid(model)
@@ -88,7 +86,6 @@ def test_a_loose_camera_is_named_with_its_size_and_let_go() -> None:
     assert checked.model.compute_mean_reprojection_error() < 0.8 * rigid.compute_mean_reprojection_error()
 
 
-@pytest.mark.slow
 def test_a_camera_that_comes_off_is_named() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
     model, scene = moving_world(loose_deg=(0, 0, 2.0), points=1500)
@@ -116,7 +113,6 @@ def test_a_camera_is_not_let_go_where_images_would_lose_their_place(tmp_path: Pa
     assert out.model is model and "as requested" in out.contradictions[-1]
 
 
-@pytest.mark.slow
 def test_views_of_one_picture_have_one_time_and_stay_together() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2), late_s=(0, 0, LATE), points=1500)
     views = [replace(s, source=Source(panorama=(1, 0, 0, 0, 1, 0, 0, 0, 1))) for s in scene.rigs[0].sensors]
@@ -124,7 +120,6 @@ def test_views_of_one_picture_have_one_time_and_stay_together() -> None:
     assert found.late == {} and not any("not held" in note for note in found.notes)
 
 
-@pytest.mark.slow
 def test_a_late_camera_has_its_time() -> None:
     model, scene = moving_world(late_s=(0, 0, LATE), points=1500)
     rigid = _rigid(model)
@@ -142,7 +137,6 @@ def test_a_late_camera_has_its_time() -> None:
     assert told.late == {} and any("held as requested" in c and "cam2 +" in c for c in told.contradictions)
 
 
-@pytest.mark.slow
 def test_a_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told() -> None:
     """Distortion that the calibration leaves out must not turn the cameras; the offset is found all the same."""
     model, scene = moving_world(late_s=(0, 0, LATE), points=1500)
@@ -156,7 +150,6 @@ def test_a_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_as_told(
         np.testing.assert_allclose(pose.matrix(), sensor.sensor_from_rig[:3], atol=1e-9)
 
 
-@pytest.mark.slow
 def test_images_of_late_cameras_stand_where_they_were_and_know_how_well() -> None:
     """Six cameras that a lidar fires, over two drives: all images right to millimetres, and sigma and error agree."""
     stated, actual = [], []
@@ -278,7 +271,6 @@ def _swapped(rig: Rig) -> Rig:
     return replace(rig, sensors=(a, *(replace(s, sensor_from_rig=p) for s, p in zip((b, c), places))))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "frames", "points", "named"),
     [(_turned, 12, 2500, "camera cam2 is mounted differently"), (_swapped, 6, 1500, "rig car")],
@@ -318,7 +310,6 @@ WANTED = (
 )  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("case", "first"), WANTED)
 def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[str, int] | None) -> None:
     model, scene = _rigid_confront(case)
@@ -337,7 +328,6 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
         assert len(said) >= 1 and all("cam2" in line for line in said)
 
 
-@pytest.mark.slow
 def test_times_that_the_images_leave_open_are_said() -> None:
     """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
     model, scene = _rigid_confront("as given")
@@ -361,7 +351,6 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
     return out
 
 
-@pytest.mark.slow
 def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid_confront("turned")
@@ -372,7 +361,6 @@ def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
 
 
-@pytest.mark.slow
 def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
     """A file whose right camera is 40 mm too low; as given nothing is widened."""
     model, scene = _rigid_confront("as given")
@@ -411,7 +399,6 @@ def _scale_off(model: pycolmap.Reconstruction, drive: Drive, metres_per_unit: fl
     return abs(metres_per_unit * float(np.linalg.norm(found) / np.linalg.norm(true)) - 1)
 
 
-@pytest.mark.slow
 def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) -> None:
     finished, model, _ = _finished("turned", tmp_path)
     assert any("turn of cam2" in line for line in finished.contradictions)
@@ -419,7 +406,6 @@ def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) ->
     assert "given values and images compared" in finished.tables
 
 
-@pytest.mark.slow
 def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Path) -> None:
     finished, model, scene = _finished("late", tmp_path, ordered=True, lenses_ordered=True)
     assert any("as requested" in line and "fire at different times" in line for line in finished.contradictions)
@@ -430,7 +416,6 @@ def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Pat
         np.testing.assert_array_equal(camera.params, scene.rigs[0].sensors[key - 1].camera.params)
 
 
-@pytest.mark.slow
 def test_cameras_that_fire_apart_no_longer_set_the_scale(tmp_path: Path) -> None:
     finished, model, scene = _finished("late", tmp_path)
     assert any("has its own time" in note for note in finished.notes) and finished.contradictions == []

@@ -166,6 +166,7 @@ def test_a_camera_goes_where_it_is_expected_only_if_the_images_leave_it_open(tmp
     assert far > 1.5 * sigma and without > 0.8 * far and near < 0.5 * far
 
 
+@pytest.mark.slow
 def test_only_a_camera_that_ties_to_itself_alone_starts_from_where_its_rig_has_it(tmp_path: Path) -> None:
     """The up camera of the example's second section stood 3.4 m away in a rig of 0.06 m."""
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=4, points=200)

@@ -167,6 +167,7 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
     assert "the path scaled to the rig" in str(made.tables)
 
 
+@pytest.mark.slow
 def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -> None:
     true, scene = world
     frames = frame_poses(true, scene)
@@ -219,6 +220,7 @@ def _spoiled(model: pycolmap.Reconstruction, how: str) -> pycolmap.Reconstructio
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "why"),
     [
@@ -308,6 +310,7 @@ def test_a_model_of_another_world_and_unit_agrees() -> None:
     assert not contradicts and text.startswith("start model: 40 of 40 images agree with it, to 0.")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [slice(22, None), slice(0, 14), slice(30, None)])
 def test_a_part_that_is_turned_is_found_and_named(rows: slice) -> None:
     found, text, contradicts = judged(turned(elsewhere(river()), rows, 20.0))
@@ -354,6 +357,7 @@ def world_blocks(known_blocks, tmp_path: Path) -> tuple[np.ndarray, Scene]:
     return true, scene
 
 
+@pytest.mark.slow
 def test_a_working_copy_of_some_images_holds_nothing_else(world_blocks, tmp_path: Path) -> None:
     _, scene = world_blocks
     some = np.flatnonzero(scene.frame < 3)

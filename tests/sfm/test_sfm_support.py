@@ -110,6 +110,7 @@ def test_what_little_holds_is_named() -> None:
     assert "(cam0/003.jpg: 12, cam0/007.jpg .. cam0/009.jpg (3 frames): 31)" in loose
 
 
+@pytest.mark.slow
 def test_frames_that_few_points_of_the_model_tie_to_the_rest(world, everything) -> None:
     """The last frames of a model see hardly any of the points that others see."""
     truth, scene = world
@@ -125,6 +126,7 @@ def test_frames_that_few_points_of_the_model_tie_to_the_rest(world, everything) 
     assert 0 < sum(group.points for group in weak) <= 60
 
 
+@pytest.mark.slow
 def test_points_of_two_images_hold_no_distance(world, everything) -> None:
     """A frame slides on the line to each of its neighbours without a residual, however many such points there are."""
     truth, scene = world
@@ -168,6 +170,7 @@ def _survey(folder: Path, step_m: float, turn_deg: float, flat: bool) -> tuple[P
     return folder / "database.db", scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step_m", "turn_deg", "flat", "said"),
     [
@@ -238,6 +241,7 @@ def ate_mm(folder: Path) -> float:
     return 1000 * rms(off_after_similarity(found, true))
 
 
+@pytest.mark.slow
 def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
     model, scene = walk(0.0)
     time = scene.time_s + np.where(np.arange(FRAMES) >= 20, 100.0, 0.0)

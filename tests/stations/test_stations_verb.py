@@ -47,6 +47,7 @@ def test_a_pair_without_loops_needs_more_overlap():
     assert parts(5, judged)[1] == parts(5, judged)[2] != parts(5, judged)[0]
 
 
+@pytest.mark.slow
 def test_groups_that_are_joined_in_two_ways_are_taken_apart():
     """Groups 0 to 3 and 4 to 7, joined by two pairs of which one is wrong; 8 hangs on 7 alone."""
     groups = [(i, j) for first in (0, 4) for i in range(first, first + 4) for j in range(i + 1, first + 4)]
@@ -175,6 +176,7 @@ def refused(capsys, *arguments):
     return capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bad_input_is_named(tmp_path, capsys):
     out, one = tmp_path / "out", tmp_path / "a.ply"
     (view,) = views([0.0], points=300)

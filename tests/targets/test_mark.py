@@ -21,6 +21,7 @@ from tiegraph.project.settings import Settings
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.tuning import ControlTuning
 
+pytestmark = pytest.mark.slow
 NAMES = ["A", "B", "C", "D", "E 5"]
 TRUE = np.array(list(PLACES.values()))
 
@@ -46,7 +47,6 @@ def pixel(session: Marking, image: int, point: int) -> tuple[float, float]:
     return float(x), float(y)
 
 
-@pytest.mark.slow
 def test_after_three_points_the_rest_is_predicted_and_marks_become_a_file(folder: Path, tmp_path: Path) -> None:
     session = opened(folder, tmp_path)
     state = session.state()
@@ -73,7 +73,6 @@ def test_after_three_points_the_rest_is_predicted_and_marks_become_a_file(folder
     assert again.marks.keys() == session.marks.keys(), "gone on with"
 
 
-@pytest.mark.slow
 def test_a_file_that_was_changed_meanwhile_is_not_written_over(folder: Path, tmp_path: Path) -> None:
     session = opened(folder, tmp_path)
     session.set(0, 0, (10.0, 20.0))
@@ -83,7 +82,6 @@ def test_a_file_that_was_changed_meanwhile_is_not_written_over(folder: Path, tmp
     assert (tmp_path / "gcp_list.txt").read_text() == "mine\n" and (0, 1) not in session.marks
 
 
-@pytest.mark.slow
 def test_what_a_gcp_list_cannot_hold_a_csv_can(folder: Path, tmp_path: Path) -> None:
     session = opened(folder, tmp_path)
     with pytest.raises(InputError, match="'E 5' has blanks.* ends in .csv"):
@@ -95,7 +93,6 @@ def test_what_a_gcp_list_cannot_hold_a_csv_can(folder: Path, tmp_path: Path) -> 
     assert len(found.points) == 5 and found.marks[0].name == "E 5" and found.marks[0].xy == (5.0, 6.0)
 
 
-@pytest.mark.slow
 def test_files_that_cannot_be_marked_say_why(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the CRS of its coordinates is unknown"):
         opened(folder, tmp_path, crs="")
@@ -104,7 +101,6 @@ def test_files_that_cannot_be_marked_say_why(folder: Path, tmp_path: Path) -> No
         opened(folder, tmp_path)
 
 
-@pytest.mark.slow
 def test_the_server_serves_this_page_and_nobody_else(folder: Path, tmp_path: Path) -> None:
     server = MarkServer(opened(folder, tmp_path))
     Thread(target=server.serve_forever, daemon=True).start()

@@ -36,7 +36,6 @@ def test_names_of_targets_and_of_none():
     assert count_of("4x4_50") == 50 and count_of(FAMILY) == 587
 
 
-@pytest.mark.slow
 def test_middles_are_found_to_hundredths_of_a_pixel_and_their_sigma_says_so():
     world, off, sigmas = table(4), [], []
     for k in range(4):
@@ -52,7 +51,6 @@ def test_middles_are_found_to_hundredths_of_a_pixel_and_their_sigma_says_so():
     assert np.abs(np.mean(off, axis=0)).max() < 0.03
 
 
-@pytest.mark.slow
 def test_the_middle_of_a_large_target_is_free_of_the_lens():
     lens = camera("OPENCV", [500, 500, 320, 240, -0.3, 0.08, 0, 0], (640, 480))
     tag = printed("tag36h11:5")
@@ -95,7 +93,7 @@ def test_the_family_that_is_there_is_told():
     assert likely_family(small).startswith("4x4_50 ") and likely_family([]) == ""
 
 
-pytestmark = pytest.mark.usefixtures("children_are_functions")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_are_functions")]
 NAMES = list(PLACES)
 HEAD = "# crs: EPSG:32654\nname,x,y,z,sigma_xy,sigma_z,role\n"
 BARS = "from,to,length (mm),sigma (mm),role\n"
@@ -135,7 +133,6 @@ def camera_error_m(folder: Path, world: Table) -> np.ndarray:
     return np.array(out)
 
 
-@pytest.mark.slow
 def test_targets_place_a_model_that_nobody_marked(tmp_path: Path) -> None:
     outcome, told, world = made(tmp_path, surveyed(NAMES, check=NAMES[4]))
     assert told["placed"] and told["scale_source"] == "control points"
@@ -147,7 +144,6 @@ def test_targets_place_a_model_that_nobody_marked(tmp_path: Path) -> None:
     assert outcome.contradictions == ()
 
 
-@pytest.mark.slow
 def test_scale_bars_hold_the_scale_where_nothing_else_does(tmp_path: Path) -> None:
     bars = BARS + bar(NAMES[0], NAMES[2]) + bar(NAMES[1], NAMES[3]) + bar(NAMES[0], NAMES[1], role="check")
     outcome, told, world = made(tmp_path, bars)
@@ -159,7 +155,6 @@ def test_scale_bars_hold_the_scale_where_nothing_else_does(tmp_path: Path) -> No
     assert outcome.contradictions == ()
 
 
-@pytest.mark.slow
 def test_bars_that_contradict_each_other_or_the_points_are_told(tmp_path: Path) -> None:
     folders = [tmp_path / n for n in ("two", "three", "points")]
     for folder in folders:
@@ -181,7 +176,6 @@ def test_bars_that_contradict_each_other_or_the_points_are_told(tmp_path: Path) 
     assert told["placed"] and told["sigma"]["scale"] > 0.005
 
 
-@pytest.mark.slow
 def test_bars_and_points_together_and_a_target_that_is_not_there(tmp_path: Path) -> None:
     text = surveyed(NAMES[:3]) + f"tag36h11:77,{EAST},{NORTH},0,0.01,0.01,gcp\n" + BARS + bar(NAMES[3], NAMES[4])
     outcome, told, world = made(tmp_path, text)
@@ -191,7 +185,6 @@ def test_bars_and_points_together_and_a_target_that_is_not_there(tmp_path: Path)
     assert next(r for r in told["control"] if r["name"] == "tag36h11:77")["why_not"]
 
 
-@pytest.mark.slow
 def test_a_bar_holds_its_length_in_the_adjustment_against_poorer_points(tmp_path: Path) -> None:
     """Points of 2 mm whose survey is 0.3 % too large: that would make the bar 2.6 mm too long."""
     rows = [f"{n},{EAST + 1.003 * x:.6f},{NORTH + 1.003 * y:.6f},{1.003 * z:.6f},0.002,0.002,gcp\n"
@@ -200,7 +193,6 @@ def test_a_bar_holds_its_length_in_the_adjustment_against_poorer_points(tmp_path
     assert 0 < abs(told["scale_bars"][0]["off_mm"]) < 0.6 and outcome.contradictions == ()
 
 
-@pytest.mark.slow
 def test_the_wrong_family_is_named(tmp_path: Path) -> None:
     text = surveyed(NAMES).replace("tag36h11:", "tag25h9:")
     run, _ = survey(tmp_path, text)
@@ -208,7 +200,6 @@ def test_the_wrong_family_is_named(tmp_path: Path) -> None:
     assert re.search(r"none of its 5 coded targets, such as tag25h9:3, .* but of tag36h11 \(seen", said)
 
 
-@pytest.mark.slow
 def test_scan_says_before_hours_of_work_which_targets_are_not_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -328,6 +328,7 @@ def test_a_card_that_is_pulled_out_leaves_what_is_known(site):
     assert settle(watch, 20.0)["counts"]["images"] == 6 and watch.state()["trouble"] == ""
 
 
+@pytest.mark.slow
 def test_a_rig_that_does_not_fit_is_said_until_it_does(site):
     watch = watched(site)
     for name in ("wide", "tele"):
@@ -339,6 +340,7 @@ def test_a_rig_that_does_not_fit_is_said_until_it_does(site):
     assert watch.scene is None
 
 
+@pytest.mark.slow
 def test_wrong_inputs_are_refused_before_anything_is_written(site, capsys):
     (site / "bad.toml").write_text("[[rig]]\nnme = 3\n")
     for arguments, said in (
