@@ -27,7 +27,6 @@ from tiegraph.scene.rig import camera_from_dict, camera_to_dict, pixel_rays
 from tiegraph.scene.scene import Scene
 
 Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the order of the items
-_CACHED_IMAGES = 512  # of about 100 kB each, in every worker
 
 Camera = tuple[tuple[str, object], ...]  # items of ``camera_to_dict``, so that rays can be cached by it
 
@@ -74,7 +73,7 @@ def _connection(database: str) -> Rows:
     return Rows(Path(database), any_thread=True)
 
 
-@cached_by_file(maxsize=_CACHED_IMAGES)
+@cached_by_file(maxsize=512)  # 100 kB each, in every worker
 def _rays(database: str, image: int, camera: Camera) -> np.ndarray:
     """(K, 3) unit rays of an image's key points in the sensor frame."""
     points = _connection(database).keypoints_of(image + 1)

@@ -38,7 +38,6 @@ from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines count as zero
-_SAMPLE = 300  # images whose rotations are tried: bounds the time
 _NAMED = 3  # images named in a sentence
 
 
@@ -265,7 +264,7 @@ def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: Start
     if len(rows) < tuning.least:
         return StartCheck(both=both, turned_deg=turned, off=off, bad=np.zeros(len(given), bool))
     between = made[rows, :3, :3] @ np.swapaxes(given[rows, :3, :3], 1, 2)
-    tried = between[:: max(1, len(rows) // _SAMPLE)]
+    tried = between[:: max(1, len(rows) // 300)]  # images whose rotations are tried: bounds the time
     votes = [int(np.sum(angle_deg(between, one) <= tuning.turn_deg)) for one in tried]
     first = angle_deg(between, tried[int(np.argmax(votes))]) <= tuning.turn_deg
     turned[rows] = angle_deg(between, l1_mean_rotation(between[first]))
