@@ -98,7 +98,7 @@ def _by_matches(cost: Cost, cap_rad: float, tuning: ScaleTuning) -> float | None
         costs = np.array([cost(float(np.exp(x)), cap_rad) for x in grid])
         best = float(grid[np.argmin(costs)])
         step = float(grid[1] - grid[0])
-        grid = np.linspace(best - step, best + step, tuning.fine_grid)
+        grid = np.linspace(best - step, best + step, 21)  # scales tried around the best of them
     lowest = float(costs.min())
     beside = min(cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
     return float(np.exp(best)) if beside - lowest > tuning.dip * max(lowest, 1e-9) else None

@@ -335,7 +335,7 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
         for _ in range(tuning.rounds):
             weight = 1 / np.sqrt(1 + (distance(x) / (scale * sigmas)) ** 2)
             before, x = x, problem.solve(x, weight).x
-            if np.abs(x - before).max() < tuning.converged:
+            if np.abs(x - before).max() < 1e-5:  # radians, metres, log scale: a smaller step ends the rounds
                 break
     inlier = distance(x) < sigmas * np.sqrt(3)
     for _ in range(tuning.rounds):
