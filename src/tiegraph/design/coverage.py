@@ -88,12 +88,12 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     """Weak places of the kept pairs: images without pair, separate components, single links, joints, loose groups,
     and ``weak``, groups with few points (``on_few_points``).
 
-    The images of a frame are one node, because the rig connects them. A single link (bridge) is a pair, or pairs that
-    share one image, without which frames come apart; a joint (articulation point) is a frame without which they do.
+    The images of a frame are one node, because the rig connects them. A single link (bridge) is a pair without which
+    frames come apart; a joint (articulation point) is a frame without which they do.
     """
     kept = pairs.kept()
-    links = frame_links(kept.i, kept.j, scene)
-    found = cuts(links.a, links.b, scene.frames, links.independent > 1)
+    a, b, first, several = frame_links(kept.i, kept.j, scene)
+    found = cuts(a, b, scene.frames, several)
     bridges = np.flatnonzero(found.bridge)
     bridges = bridges[np.argsort(-found.side[bridges], kind="stable")]
     joints = np.flatnonzero(found.joint)
@@ -103,7 +103,7 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     rows += [[kind, name, frames, count, None] for kind, name, frames, count in loose]
     rows += [["few points", named(g, scene.frame_names), len(g.frames), None, g.points] for g in weak]
     for k in bridges[:_LISTED]:
-        pair = links.row[k]
+        pair = first[k]
         where = f"{scene.names[kept.i[pair]]} - {scene.names[kept.j[pair]]}"
         rows.append(["single link", where, int(found.side[k]), 1, None])
     for k in joints[:_LISTED]:
@@ -113,7 +113,7 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     counts = {
         "images": len(scene),
         "pairs": len(kept),
-        "components": int(parts(links.a, links.b, scene.frames).max(initial=-1)) + 1,
+        "components": int(parts(a, b, scene.frames).max(initial=-1)) + 1,
         "alone": int(np.sum(size == 1)) if len(scene) > 1 else 0,
         "bridges": len(bridges),
         "joints": len(joints),
