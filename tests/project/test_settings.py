@@ -67,7 +67,12 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
     (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.filter.prior]\nsteps = 30\n")
     project = open_project(tmp_path, out, settings={"tuning": {"filter": {"prior": {"margin": 3.0}}}})
     tuning = project.settings.tuning.filter
-    assert (tuning.matches_a_pair, tuning.prior.steps, tuning.prior.margin, tuning.prior.mount_deg) == (9, 30, 3.0, 1.5)
+    assert (tuning.matches_a_pair, tuning.prior.steps, tuning.prior.margin, tuning.prior.min_share) == (
+        9,
+        30,
+        3.0,
+        0.25,
+    )
     project.save()
     assert open_project(out=out).settings == project.settings
     changed_values = {"filter": {"matches_a_pair": 9, "prior": {"steps": 30, "margin": 3.0}}}

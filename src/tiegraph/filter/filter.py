@@ -8,7 +8,7 @@ impossible distances. What else is false contradicts the model that the mapper m
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -93,41 +93,10 @@ class Prior:
 
     cam_from_world: np.ndarray
     reach: np.ndarray
-    mount_deg: np.ndarray | None = None  # (N,) possible rotation error of an image in its rig; None = none
-
-    def tolerance_deg(self, i: int, j: int, same_sensor: bool, least_deg: float) -> float:
-        """Tolerance of a true match of two images from its course. For one sensor the error of its mounting cancels
-        unless the images are rotated against each other: below a bridge two passes are, by half a turn."""
-        if self.mount_deg is None:
-            return least_deg
-        turn = transforms.angle_deg(self.cam_from_world[i, :3, :3], self.cam_from_world[j, :3, :3])
-        lever = 2 * np.sin(np.radians(turn) / 2) if same_sensor else 1.0
-        return float(least_deg + lever * max(self.mount_deg[i], self.mount_deg[j]))
 
     def known(self) -> np.ndarray:
         """(N,) bool: images it can judge."""
         return np.all(np.isfinite(self.cam_from_world), axis=(1, 2)) & np.all(np.isfinite(self.reach), axis=1)
-
-
-def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:
-    """The prior with any distance as the reach of images that see too few points for theirs, but whose pose is
-    known: by the others of their frame, if most images of their sensor see points.
-
-    An up camera below a bridge is such a case. Loops hardly test it: few images tie to it, and the beams of
-    one bridge are alike. On ``canal`` four of the five remaining false pairs have at most 7 % of their matches on
-    course at any distance, the thirteen true ones 55 % and more; the fifth is of two passes: a wider tolerance.
-    """
-    placed, known = np.isfinite(prior.cam_from_world).all(axis=(1, 2)), prior.known()
-    if not known.any() or known[placed].all():
-        return prior
-    beside = np.bincount(scene.frame[known], minlength=scene.frames)[scene.frame] > 0
-    sensors = len(scene.all_sensors)
-    seeing, of = (np.bincount(scene.sensor_key[m], minlength=sensors) for m in (known, placed))
-    told = (seeing >= tuning.min_seeing * of)[scene.sensor_key]
-    held = placed & ~known & beside & told
-    nearest, farthest = prior.reach[known, 0].min(), prior.reach[known, 1].max()
-    reach = np.where(held[:, None], (nearest / tuning.any_distance, farthest * tuning.any_distance), prior.reach)
-    return replace(prior, reach=reach, mount_deg=np.where(held, tuning.mount_deg, 0.0))
 
 
 def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: PriorTuning) -> float:
@@ -139,8 +108,7 @@ def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: Pri
     j_from_i = prior.cam_from_world[j] @ transforms.invert(prior.cam_from_world[i])
     off = off_course_deg(a, b, j_from_i, prior.reach[i], tuning)
     back = off_course_deg(b, a, transforms.invert(j_from_i), prior.reach[j], tuning)
-    same = bool(matches.sensor[i] == matches.sensor[j])
-    return float(np.mean(np.maximum(off, back) <= prior.tolerance_deg(i, j, same, tuning.tolerance_deg)))
+    return float(np.mean(np.maximum(off, back) <= tuning.tolerance_deg))
 
 
 def off_course_deg(
@@ -189,7 +157,7 @@ def filter_pairs(
         return Filtering(pairs, counts, notes=("no pair was tested",), tables={})
     forget()
     matches = Matches.of(database, scene, tuning.matches_a_pair)
-    refused, notes = _by_prior(scene, kept, matches, prior, tuning.prior, run_map)
+    refused, notes = _by_prior(kept, matches, prior, tuning.prior, run_map)
     forget()
     gone = np.zeros(len(pairs), bool)
     gone[np.flatnonzero(pairs.dropped == 0)[refused]] = True
@@ -203,14 +171,13 @@ def filter_pairs(
 
 
 def _by_prior(
-    scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning: PriorTuning, run_map: Map
+    pairs: Pairs, matches: Matches, prior: Prior, tuning: PriorTuning, run_map: Map
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Of each pair (P,) bool whether a rough model refuses it; notes.
 
     A model that contradicts many pairs is not used, and neither is the relative pose of two parts of it if it
     contradicts all pairs between them.
     """
-    prior = held_by_rig(prior, scene, tuning)
     known = prior.known()
     refused = np.zeros(len(pairs), bool)
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
