@@ -92,8 +92,8 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     frames come apart; a joint (articulation point) is a frame without which they do.
     """
     kept = pairs.kept()
-    a, b, first, several = frame_links(kept.i, kept.j, scene)
-    found = cuts(a, b, scene.frames, several)
+    links = frame_links(kept.i, kept.j, scene)
+    found = cuts(links.a, links.b, scene.frames, links.several)
     bridges = np.flatnonzero(found.bridge)
     bridges = bridges[np.argsort(-found.side[bridges], kind="stable")]
     joints = np.flatnonzero(found.joint)
@@ -103,7 +103,7 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     rows += [[kind, name, frames, count, None] for kind, name, frames, count in loose]
     rows += [["few points", named(g, scene.frame_names), len(g.frames), None, g.points] for g in weak]
     for k in bridges[:_LISTED]:
-        pair = first[k]
+        pair = links.row[k]
         where = f"{scene.names[kept.i[pair]]} - {scene.names[kept.j[pair]]}"
         rows.append(["single link", where, int(found.side[k]), 1, None])
     for k in joints[:_LISTED]:
@@ -113,7 +113,7 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     counts = {
         "images": len(scene),
         "pairs": len(kept),
-        "components": int(parts(a, b, scene.frames).max(initial=-1)) + 1,
+        "components": int(parts(links.a, links.b, scene.frames).max(initial=-1)) + 1,
         "alone": int(np.sum(size == 1)) if len(scene) > 1 else 0,
         "bridges": len(bridges),
         "joints": len(joints),

@@ -193,11 +193,11 @@ def _second_links(kept: _Kept, chosen: np.ndarray, scene: Scene) -> np.ndarray:
     and another candidate crosses too (Nagamochi and Ibaraki 1992).
     """
     i, j, strength = kept.i, kept.j, kept.strength
-    a, b, first, several = frame_links(i[chosen], j[chosen], scene)
-    bridge = cuts(a, b, scene.frames, several).bridge
-    piece = parts(a[~bridge], b[~bridge], scene.frames)[scene.frame]
+    links = frame_links(i[chosen], j[chosen], scene)
+    bridge = cuts(links.a, links.b, scene.frames, links.several).bridge
+    piece = parts(links.a[~bridge], links.b[~bridge], scene.frames)[scene.frame]
     free = np.setdiff1d(np.arange(len(i)), chosen)
-    single = chosen[first[bridge]]  # a second link should not start from the images of the first
+    single = chosen[links.row[bridge]]  # a second link should not start from the images of the first
     weaker = np.isin(i[free], np.r_[i[single], j[single]]) | np.isin(j[free], np.r_[i[single], j[single]])
     own = strength[free] / np.where(weaker, strength.max(initial=1.0), 1.0)
     return free[forest(piece[i[free]], piece[j[free]], own, len(scene))]

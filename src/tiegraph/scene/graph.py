@@ -45,15 +45,24 @@ def cheapest_cut(capacity: csr_array, a: int, b: int) -> np.ndarray:
     return side
 
 
-def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The links between frames from pairs of images i, j (P,), (K,) each: frames a < b, the place of the first pair,
-    and whether there is another. Pairs within a frame make none."""
+@dataclass(frozen=True)
+class FrameLinks:
+    """Links between frames a < b (K,): ``row`` the first pair of a link, ``several`` whether there is another."""
+
+    a: np.ndarray
+    b: np.ndarray
+    row: np.ndarray
+    several: np.ndarray
+
+
+def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> FrameLinks:
+    """The links between frames from pairs of images i, j (P,); pairs within a frame make none."""
     low, high = np.sort(scene.frame[np.stack([i, j])], axis=0)
     row = np.flatnonzero(low != high)
     key = low[row].astype(np.int64) * scene.frames + high[row]
     _, first, count = np.unique(key, return_index=True, return_counts=True)
     row = row[first]
-    return low[row], high[row], row, count > 1
+    return FrameLinks(a=low[row], b=high[row], row=row, several=count > 1)
 
 
 @dataclass(frozen=True)
