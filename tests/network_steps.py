@@ -25,12 +25,17 @@ SETTINGS, TUNING = CandidatesSettings(), Tuning()
 Make = Callable[[Scene, PreviewMatches], CoarseModel | None]  # of the scene of a block and its ties
 
 
+def without_features(scene: Scene) -> Callable[[], list[np.ndarray]]:
+    """Descriptors of previews without any: no image looks like another."""
+    return lambda: [np.zeros((0, 128), np.uint8)] * len(scene)
+
+
 def context_of(
     scene: Scene, match: Callable | MatchCache, settings: CandidatesSettings = SETTINGS, tuning: Tuning = TUNING
 ) -> Context:
     """What a source of pairs is given: the previews of a scene by a function, or those that a cache has."""
     cache = match if isinstance(match, MatchCache) else MatchCache(match, len(scene))
-    return Context(scene=scene, passes=find_passes(scene), cache=cache, settings=settings, tuning=tuning)
+    return Context(scene, find_passes(scene), cache, settings, tuning, without_features(scene))
 
 
 @dataclass(frozen=True)
@@ -77,9 +82,11 @@ def estimate_network(
     make: Make | None = None,
     sections: str = "link",
 ) -> Steps:
-    """The three stages; ``make`` makes the coarse models, without it there is none."""
+    """The three stages; ``make`` makes the coarse models, without it there is none. The world whose previews ``match``
+    matches may have their descriptors."""
     book = MatchCache(match, len(scene))
-    found = find_candidates(scene, book, settings, tuning)
+    descriptors = getattr(getattr(match, "__self__", None), "descriptors", without_features(scene))
+    found = find_candidates(scene, book, settings, tuning, descriptors)
     coarse = Coarse(found.pairs, found.scene, None, np.zeros(len(scene), bool))
     both = settings, CoarseSettings()
     if make is not None and worth_a_model(*both):

@@ -27,5 +27,5 @@ def on_gpu() -> bool:
 
 
 def device() -> pycolmap.Device:
-    """Where COLMAP extracts and matches; never left to COLMAP, which takes a GPU for granted in a build with CUDA."""
+    """Where COLMAP matches; never left to COLMAP, which takes a GPU for granted in a build with CUDA."""
     return pycolmap.Device.cuda if on_gpu() else pycolmap.Device.cpu

@@ -68,11 +68,12 @@ def test_two_rings_on_one_image_and_a_chain() -> None:
     assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1, None]  # the worst first
 
 
-def test_a_link_of_two_pairs_is_single_if_they_share_an_image() -> None:
+def test_a_link_of_two_pairs_is_not_single() -> None:
     scene = rig_scene(2)  # images 0, 1 of the first frame, 2, 3 of the second
-    shared, own = (Pairs.make(first, [2, 3], "file") for first in ([0, 0], [0, 1]))
-    assert [coverage(pairs, scene).counts["bridges"] for pairs in (shared, own)] == [1, 0]
-    assert frame_links(own.i, own.j, scene).pairs.tolist() == [2]
+    one, two = Pairs.make([0], [2], "file"), Pairs.make([0, 1], [2, 3], "file")
+    assert [coverage(pairs, scene).counts["bridges"] for pairs in (one, two)] == [1, 0]
+    links = frame_links(two.i, two.j, scene)
+    assert (links.a.tolist(), links.b.tolist(), links.several.tolist()) == ([0], [1], [True])
 
 
 def test_images_of_a_frame_hold_together() -> None:

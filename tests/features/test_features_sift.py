@@ -1,4 +1,4 @@
-"""SIFT of both engines: place, scale, normalisation, masks, limits, order, and images of little contrast."""
+"""SIFT: place, scale, normalisation, masks, limits, order, and images of little contrast."""
 
 import cv2
 import numpy as np
@@ -11,7 +11,6 @@ from tiegraph.features.settings import FeaturesSettings, PreviewSettings
 from tiegraph.features.sift import (
     contrast,
     evened,
-    extract_colmap,
     extract_image,
     extract_sift,
     read_mask,
@@ -20,7 +19,6 @@ from tiegraph.features.sift import (
 from tiegraph.features.tuning import SiftTuning, Tuning
 
 SETTINGS, TUNING = FeaturesSettings(), SiftTuning()
-engines = pytest.mark.parametrize("extract", [extract_sift, extract_colmap], ids=["opencv", "colmap"])
 
 
 def blobs(size=(360, 400), seed=0):
@@ -51,10 +49,9 @@ def texture(height=240, width=320, seed=1):
 
 
 @pytest.mark.slow
-@engines
-def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
+def test_blobs_are_found_where_they_are_in_the_corner_convention():
     image, places, sigmas = blobs()
-    keypoints, descriptors = extract(image, None, SETTINGS, TUNING)
+    keypoints, descriptors = extract_sift(image, None, SETTINGS, TUNING)
     at, found = nearest(keypoints, places)
     error_px = keypoints[at, :2] - places[found]
     assert found.mean() > 0.9
@@ -65,28 +62,13 @@ def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
 
 
 @pytest.mark.slow
-@engines
-def test_shrunk_images_give_positions_of_the_full_image(extract):
+def test_shrunk_images_give_positions_of_the_full_image():
     image, places, _ = blobs((360, 401))
     big = cv2.resize(image, (802, 720), interpolation=cv2.INTER_CUBIC)
-    keypoints, _ = extract(big, None, FeaturesSettings(max_image_size=401), TUNING)
+    keypoints, _ = extract_sift(big, None, FeaturesSettings(max_image_size=401), TUNING)
     at, found = nearest(keypoints / 2, places)
     assert found.mean() > 0.8
     assert np.abs((keypoints[at, :2] / 2 - places[found]).mean(axis=0)).max() < 0.03
-
-
-@pytest.mark.slow
-def test_both_engines_agree_on_orientation_and_descriptor():
-    image = texture()
-    ours, ours_d = extract_sift(image, None, SETTINGS, TUNING)
-    colmaps, colmaps_d = extract_colmap(image, None, SETTINGS, TUNING)
-    far = np.linalg.norm(ours[:, None, :2] - colmaps[None, :, :2], axis=2)
-    far += 5 * np.abs(np.log(ours[:, None, 2] / colmaps[None, :, 2]))
-    turn = np.abs((ours[:, None, 3] - colmaps[None, :, 3] + np.pi) % (2 * np.pi) - np.pi)
-    a, b = np.nonzero((far < 0.5) & (turn < 0.2))
-    assert len(set(a)) > 0.6 * len(ours)
-    cosine = np.sum(ours_d[a].astype(float) * colmaps_d[b], axis=1) / 512**2
-    assert np.median(cosine) > 0.98
 
 
 def test_root_sift_has_colmaps_length_and_survives_zeros():
@@ -96,13 +78,12 @@ def test_root_sift_has_colmaps_length_and_survives_zeros():
 
 
 @pytest.mark.slow
-@engines
-def test_no_support_reaches_into_the_mask(extract):
+def test_no_support_reaches_into_the_mask():
     image = texture(360, 480)
     mask = np.zeros(image.shape, bool)
     mask[:220, 50:] = True
-    free, _ = extract(image, None, SETTINGS, TUNING)
-    keypoints, descriptors = extract(image, mask, SETTINGS, TUNING)
+    free, _ = extract_sift(image, None, SETTINGS, TUNING)
+    keypoints, descriptors = extract_sift(image, mask, SETTINGS, TUNING)
     inside = (free[:, 1] < 220) & (free[:, 0] >= 50)
     whole = np.minimum(220 - free[:, 1], free[:, 0] - 50) > TUNING.support_sigmas * free[:, 2] + 1
     assert whole.sum() > TUNING.enough_free
@@ -112,13 +93,12 @@ def test_no_support_reaches_into_the_mask(extract):
 
 
 @pytest.mark.slow
-@engines
-def test_few_features_are_all_kept_that_lie_on_free_pixels(extract):
+def test_few_features_are_all_kept_that_lie_on_free_pixels():
     image = texture()
     mask = np.zeros(image.shape, bool)
     mask[:100, 50:] = True
-    free, _ = extract(image, None, SETTINGS, TUNING)
-    keypoints, descriptors = extract(image, mask, SETTINGS, TUNING)
+    free, _ = extract_sift(image, None, SETTINGS, TUNING)
+    keypoints, descriptors = extract_sift(image, mask, SETTINGS, TUNING)
     inside = (free[:, 1] < 100) & (free[:, 0] >= 50)
     assert len(keypoints) == len(descriptors) == inside.sum() > 20
 
@@ -172,10 +152,9 @@ def test_images_keep_features_in_proportion_to_their_pixels():
 
 
 @pytest.mark.slow
-@engines
-def test_blank_or_fully_masked_images_give_none(extract):
+def test_blank_or_fully_masked_images_give_none():
     for image, mask in ((np.full((90, 120), 7, np.uint8), None), (texture(), np.zeros((240, 320), bool))):
-        keypoints, descriptors = extract(image, mask, SETTINGS, TUNING)
+        keypoints, descriptors = extract_sift(image, mask, SETTINGS, TUNING)
         assert keypoints.shape == (0, 4) and keypoints.dtype == np.float32
         assert descriptors.shape == (0, 128) and descriptors.dtype == np.uint8
 

@@ -1,5 +1,6 @@
 """Pairs from prior poses: distance, axes, line of sight, baseline, gaps; shared visible surface with exact truth."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boat_world import Result, World, boat, found, ring
-from network_steps import context_of, network_of
+from network_steps import context_of, network_of, without_features
 from tiegraph.geometry import transforms
-from tiegraph.network.candidates import find_candidates
+from tiegraph.network.candidates import Candidates, find_candidates
 from tiegraph.network.coarse import proxy as proxies
 from tiegraph.network.coarse import visible
 from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy
@@ -105,6 +106,10 @@ def two_passes() -> World:
     return boat((10, 10), (2.0, 2.0))
 
 
+def candidates_of(scene: Scene, match: Callable) -> Candidates:
+    return find_candidates(scene, MatchCache(match, len(scene)), SETTINGS, TUNING, without_features(scene))
+
+
 def _across(scene: Scene, pairs: Pairs) -> int:
     track = scene.sequence[scene.frame]
     return int(np.sum(track[pairs.i] != track[pairs.j]))
@@ -113,7 +118,7 @@ def _across(scene: Scene, pairs: Pairs) -> int:
 @pytest.mark.slow
 def test_passes_with_odometry_of_their_own_are_tied_by_previews(two_passes: World) -> None:
     scene = with_priors(two_passes).with_(prior="odometry")
-    candidates = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
+    candidates = candidates_of(scene, two_passes.match)
     share, precision = found(candidates.pairs, two_passes.useful())
     assert 0.9 < share < 1 and 0.7 < precision < 1
     assert 500 < _across(scene, candidates.pairs.kept()) < 2000
@@ -130,7 +135,7 @@ def test_passes_that_nothing_ties_are_said(two_passes: World) -> None:
         same = track[pairs[:, 0]] == track[pairs[:, 1]]
         return [m if s else Result(inliers=0) for m, s in zip(two_passes.match(pairs), same)]
 
-    candidates = find_candidates(scene, MatchCache(blind, len(scene)), SETTINGS, TUNING)
+    candidates = candidates_of(scene, blind)
     assert _across(scene, candidates.pairs.kept()) == 0
     assert any("nothing ties them, so they can only form" in note for note in candidates.notes)
 
@@ -153,7 +158,7 @@ def test_a_trajectory_of_each_pass_in_a_frame_that_nothing_tells(name: str | Non
     second = scene.sequence == 1
     poses[second] = moved @ poses[second]
     scene = scene.with_(world_from_rig=poses)
-    candidates = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
+    candidates = candidates_of(scene, two_passes.match)
     share, precision = found(candidates.pairs, two_passes.useful())
     assert 0.9 < share < 1 and 0.6 < precision < 1
     assert any("are not in one world" in note for note in candidates.notes) == (name is not None)

@@ -198,11 +198,10 @@ def test_many_images_are_looked_up_in_linear_memory() -> None:
 LOOSE = TUNING.retrieval.loose
 
 
-def tied(world: Places, with_words: bool = True, scene: Scene | None = None, images=None) -> Pairs:
+def tied(world: Places, scene: Scene | None = None, images=None) -> Pairs:
     count = len(world)
-    words = words_of(world) if with_words else None
     chosen = np.arange(count) if images is None else images
-    return scored_pairs(context_of(scene or photos(count), world.match), chosen, words)
+    return scored_pairs(context_of(scene or photos(count), world.match), chosen, words_of(world))
 
 
 @pytest.mark.slow
@@ -255,13 +254,6 @@ def test_photographs_are_tied_to_the_frames_of_a_pass() -> None:
     i, j, useful = world.useful()
     every_fourth = (i % 4 == 0) | (i >= 200)
     assert found(pairs, (i, j, useful & (j >= 200) & every_fourth))[0] > 0.95
-
-
-@pytest.mark.slow
-def test_without_words_names_and_chance_must_do() -> None:
-    world = shuffled_ring(300)
-    recall, precision = found(tied(world, with_words=False), world.useful())
-    assert recall > 0.95 and precision > 0.8 and world.asked > TUNING.previews_an_image * 300
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapper, mapping
 from tiegraph.sfm.mapper import SparseResult
-from tiegraph.sfm.mapping import choose_mapper, cost_in_the_end
+from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.registrationreport import ran_off
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
@@ -259,33 +259,6 @@ def test_only_what_is_far_from_a_given_focal_length_ran_off(tmp_path: Path) -> N
     assert ran_off(_with_focal(truth, 2.0), guessed, MOST) is None
 
 
-@pytest.mark.parametrize(
-    ("cost", "kept", "rough"), [(0.9, "global", False), (1.1, "incremental", False), (0.9, "global", True)]
-)
-def test_the_model_that_explains_the_images_better_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cost: float, kept: str, rough: bool
-) -> None:
-    """A coarse model too: no adjustment comes back from poses with a wrong focal length."""
-    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=4)
-    job = _job(scene)
-    job = replace(job, source=replace(job.source, rough=rough))
-    first = mapping.Outcome("incremental", [_written(_with_focal(truth, 2.0), tmp_path / "first")], len(scene))
-    other = mapping.Outcome("global", [_written(truth, tmp_path / "other")], len(scene))
-    asked: list[str] = []
-    monkeypatch.setattr(mapping, "_run", lambda job, mapper, *rest: asked.append(mapper) or other)
-    px = truth.camera(1).mean_focal_length()
-    costs = {round(2 * px): 1.0, round(px): cost}
-    monkeypatch.setattr(mapping, "cost_in_the_end", lambda model, *_: costs[round(model.camera(1).mean_focal_length())])
-    assert mapping._near_given_focal_lengths(job, first, "").mapper == kept
-    assert asked == ["global"] and f"{cost:.2f} times as large: the {kept} model is kept" in job.account.notes[0]
-    fewer = replace(other, registered=1)
-    monkeypatch.setattr(mapping, "_run", lambda *_: fewer)
-    assert mapping._near_given_focal_lengths(job, first, "") is first
-    assert mapping._near_given_focal_lengths(job, other, "") is other
-    ordered = replace(job, settings=SparseSettings(mapper="incremental"))
-    assert mapping._near_given_focal_lengths(ordered, first, "") is first
-
-
 @pytest.mark.parametrize("right", ["incremental", "global"])
 def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: str
@@ -304,7 +277,6 @@ def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
         return mapping.Outcome(mapper, [made[mapper]], len(scene))
 
     monkeypatch.setattr(mapping, "_run", run)
-    monkeypatch.setattr(mapping, "_near_given_focal_lengths", lambda job, outcome, label: outcome)
     job = _job(scene)
     job = replace(job, source=replace(job.source, database=tmp_path / "database.db"))
     job = replace(job, graph=SimpleNamespace(components=[len(scene)]))
@@ -317,16 +289,6 @@ def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
         ordered = replace(job, settings=SparseSettings(mapper=how))
         assert mapping._mapped(ordered, "").mapper == how
     assert asked == ["incremental", "global"]
-
-
-@pytest.mark.slow
-def test_the_cost_is_that_after_the_adjustment(tmp_path: Path) -> None:
-    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12, noise_px=0.2)
-    wrong, job = _with_focal(truth, 1.02), _job(scene, settings=SparseSettings(refine_intrinsics="yes"))
-    before, after = cost_in_the_end(truth, job), cost_in_the_end(wrong, job)
-    assert 0.01 < before < 0.1 and after == pytest.approx(before, rel=0.02)
-    held = replace(job, settings=SparseSettings(refine_intrinsics="no"))
-    assert cost_in_the_end(wrong, held) > 1.05 * before
 
 
 def _job(scene: Scene, **more: Any) -> mapping.Job:

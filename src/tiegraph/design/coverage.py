@@ -88,12 +88,12 @@ def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Cov
     """Weak places of the kept pairs: images without pair, separate components, single links, joints, loose groups,
     and ``weak``, groups with few points (``on_few_points``).
 
-    The images of a frame are one node, because the rig connects them. A single link (bridge) is a pair, or pairs that
-    share one image, without which frames come apart; a joint (articulation point) is a frame without which they do.
+    The images of a frame are one node, because the rig connects them. A single link (bridge) is a pair without which
+    frames come apart; a joint (articulation point) is a frame without which they do.
     """
     kept = pairs.kept()
     links = frame_links(kept.i, kept.j, scene)
-    found = cuts(links.a, links.b, scene.frames, links.independent > 1)
+    found = cuts(links.a, links.b, scene.frames, links.several)
     bridges = np.flatnonzero(found.bridge)
     bridges = bridges[np.argsort(-found.side[bridges], kind="stable")]
     joints = np.flatnonzero(found.joint)

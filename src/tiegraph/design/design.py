@@ -194,7 +194,7 @@ def _second_links(kept: _Kept, chosen: np.ndarray, scene: Scene) -> np.ndarray:
     """
     i, j, strength = kept.i, kept.j, kept.strength
     links = frame_links(i[chosen], j[chosen], scene)
-    bridge = cuts(links.a, links.b, scene.frames, links.independent > 1).bridge
+    bridge = cuts(links.a, links.b, scene.frames, links.several).bridge
     piece = parts(links.a[~bridge], links.b[~bridge], scene.frames)[scene.frame]
     free = np.setdiff1d(np.arange(len(i)), chosen)
     single = chosen[links.row[bridge]]  # a second link should not start from the images of the first

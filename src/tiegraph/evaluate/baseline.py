@@ -14,8 +14,6 @@ import numpy as np
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.scene.scene import Scene
 
-_LEAST_POSES = 3  # of an alignment
-
 
 @dataclass(frozen=True)
 class Side:
@@ -102,7 +100,7 @@ def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequ
 def _judge(side: Side, reference: Reference) -> _Judged:
     known = np.isfinite(side.centres).all(axis=1) & np.isfinite(reference.centres_m).all(axis=1) & side.registered
     error, right = np.full(len(known), np.nan), np.zeros(len(known), bool)
-    if known.sum() < _LEAST_POSES:
+    if known.sum() < 3:  # an alignment needs three
         return _Judged(side=side, error_m=error, right=right, scale=np.nan)
     source, target = side.centres[known], reference.centres_m[known]
     plain: Similarity = umeyama(source, target)

@@ -43,7 +43,6 @@ from tiegraph.scene.scene import Scene
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers
 _ALIAS = "tiegraph:"
-_ROUND = 2  # blocks per worker of a cluster before they are written
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ def run_blocks(
             calls = [(str(database), named[k::count], rules) for k in range(count)]
             run_in_children(match_blocks, calls, log=log, on_message=take, task="match")
         else:
-            step = _ROUND * side.processes
+            step = 2 * side.processes  # blocks per worker of a cluster before they are written
             for start in range(0, len(named), step):
                 for message in side.run_map(match_block, named[start : start + step], str(database), rules, log):
                     take(message)

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section, user_path
 
-EngineName = Literal["opencv", "colmap", "onnx"]
+EngineName = Literal["opencv", "onnx"]
 
 
 class PreviewSettings(Section):
@@ -31,8 +31,7 @@ class FeaturesSettings(Section):
     """Features at full resolution, for the model."""
 
     engine: Annotated[EngineName | str, or_plugin("features", EngineName)] = "opencv"
-    """opencv = SIFT (fast); colmap = SIFT by COLMAP's own extractor (several times slower on a CPU); onnx = learned
-    features by a network, of the file that is given as model."""
+    """opencv = SIFT; onnx = learned features by a network, of the file that is given as model."""
     model: Path | None = user_path("file")
     """ONNX file of a network as COLMAP publishes them for ALIKED (aliked-n16rot.onnx, aliked-n32.onnx). Needs ONNX
     Runtime: pip install 'tiegraph[onnx]'."""

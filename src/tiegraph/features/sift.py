@@ -1,9 +1,8 @@
-"""From an image file and its mask file to SIFT features: by OpenCV in the form of COLMAP's own extractor (Lowe
-2004; RootSIFT: Arandjelovic & Zisserman 2012), or by that (VLFeat, or on a GPU), one image at a time.
+"""From an image file and its mask file to SIFT features, one image at a time: by OpenCV, in the form of COLMAP's own
+extractor (Lowe 2004; RootSIFT: Arandjelovic & Zisserman 2012).
 
 Not ``pycolmap.extract_features``: that leaves out images with a missing mask, reads a mask of another size as if it
-fitted, and numbers images by the order its threads finish. One extractor call runs no worker threads, so its errors are
-plain exceptions and no child process is needed.
+fitted, and numbers images by the order its threads finish.
 
 Images with little contrast, of a sea floor, in a tunnel or at night, are equalised first. A detector's threshold is
 one number for all images (Lowe 2004: 0.03 of the grey range). In dim water only the part lit by the lamp exceeds it,
@@ -18,13 +17,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.features.learned import detected
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.tuning import ContrastTuning, SiftTuning, Tuning
-from tiegraph.gpu import device, on_gpu
 from tiegraph.plugins import chosen
 from tiegraph.scene.decoding import read_pixels
 
@@ -193,36 +190,6 @@ def read_mask(mask: Path, shape: tuple[int, ...]) -> np.ndarray:
     return values > 0
 
 
-# --- SIFT by COLMAP's own extractor ----------------------------------------------------------------------------------
-
-
-def extract_colmap(
-    gray: np.ndarray, mask: np.ndarray | None, settings: FeaturesSettings, tuning: SiftTuning
-) -> tuple[np.ndarray, np.ndarray]:
-    """As ``extract_sift``, by COLMAP: keypoints (K, 4) f4 (largest last) and descriptors (K, 128) u1.
-
-    The limit of features counts before the mask is applied and without second orientations, as in COLMAP.
-    """
-    check_input(gray, mask)
-    small = shrunk(gray, settings.max_image_size)
-    to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
-    level, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, 1  # it announces each extractor
-    try:
-        options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=on_gpu())
-        options.sift.max_num_features = int(most_features(gray.size / 1e6, settings.max_features, tuning))
-        options.sift.octave_resolution = tuning.octave_layers
-        options.sift.peak_threshold = settings.contrast / tuning.octave_layers
-        extractor = pycolmap.FeatureExtractor.create(options, device())
-        points, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(small))
-    finally:
-        pycolmap.logging.minloglevel = level
-    keypoints = np.array([[p.x, p.y, p.compute_scale(), p.compute_orientation()] for p in points]).reshape(-1, 4)
-    keypoints[:, :2] *= to_full
-    keypoints[:, 2] *= np.sqrt(to_full.prod())
-    inside = on_mask(keypoints, mask, tuning)
-    return keypoints[inside].astype(np.float32), np.asarray(descriptors.data, np.uint8).reshape(-1, 128)[inside]
-
-
 # --- learned features ------------------------------------------------------------------------------------------------
 
 
@@ -242,4 +209,4 @@ def extract_onnx(
     return keypoints[inside], descriptors[inside]
 
 
-EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "colmap": extract_colmap, "onnx": extract_onnx}
+EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "onnx": extract_onnx}

@@ -22,12 +22,10 @@ CRS_WORDS = (
     "give EPSG:n of a projected CRS in metres (EPSG:32610 is UTM zone 10 north), a zone such as UTM10N, ENU (tangent "
     "plane), or auto (the UTM zone of the positions)"
 )
-_MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
 _TOLD_DATUM_M = 0.5  # datum operations that are less accurate are told
 _WGS84_M = 6378137.0  # half its longer axis
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
 FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
-_CENTRES = 200  # positions at most that are tried for the middle of the rest
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
         raise InputError(f"{where}: {place}, lie outside it: {remedy}")
     largest, smallest = np.linalg.svd(grid, compute_uv=False)
     off = max(largest - 1, 1 - smallest)
-    if off > _MAX_DISTORTION:
+    if off > 0.01:  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
         scales = f"{smallest:.4f} to {largest:.4f} times the true ones"
         raise InputError(f"{where}: lengths in it are {scales} at {place}: {remedy}")
     if np.linalg.det(grid) < 0:
@@ -178,7 +176,7 @@ def far_from_rest(lat_lon_height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if len(lat) < 2:
         return np.zeros(len(lat), bool), np.zeros(len(lat))
     xyz = np.stack(_ecef().transform(lat, lon, height), axis=-1)
-    tried = xyz[:: max(1, len(xyz) // _CENTRES)]
+    tried = xyz[:: max(1, len(xyz) // 200)]  # positions at most that are tried for the middle of the rest
     half = (len(tried) - 1) // 2
     within = [np.partition(np.linalg.norm(tried - c, axis=1), half)[half] for c in tried]
     away = np.linalg.norm(xyz - tried[int(np.argmin(np.round(within)))], axis=1)

@@ -16,7 +16,6 @@ from tiegraph.geometry.transforms import centre
 MAX_OFF_AXIS_DEG = 65.0
 _TANGENT = float(np.tan(np.radians(MAX_OFF_AXIS_DEG)))
 _GRID = 33  # samples a side that stand for an image when windows and ranges are sought
-_MIN_WINDOW_PX = 16
 _MIN_AXIS_SINE = 0.2  # sine between the mean optical axis and the baseline: below 12 degrees the roll is arbitrary
 _RANGE_STEPS = 32  # depths tried between near and far when the part common to both images is sought
 _MAX_SHIFT = 0.85  # disparity / focal length: rays that meet at more than 40 degrees show too different a picture
@@ -135,7 +134,7 @@ def rectify(
     focal = min(focal, float(np.sqrt(max_pixels / max(np.prod(high - low), 1e-12))))
     focal = min(focal, (max_disparities - 3) / max(shift[1] - shift[0], 1e-12))
     size = np.ceil(focal * (high - low)).astype(int)
-    if size.min() < _MIN_WINDOW_PX:
+    if size.min() < 16:
         return None
     offset = focal * shift[0] - 1.0
     to_pixel = np.array([[focal, 0, -focal * low[0]], [0, focal, -focal * low[1]], [0, 0, 1.0]])

@@ -23,7 +23,7 @@ def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None 
     this gives the seeds from which the sky's appearance is learnt, not the mask. ``ego`` (h, w) bool: where the
     platform, or the surround of a fisheye lens, reaches down from the top of the image, the sky begins below it.
     """
-    scale = tuning.border_px / max(image.shape[:2])
+    scale = 160 / max(image.shape[:2])  # longer side at which the border is searched: it gives seeds, not masks
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     free = np.ones(small.shape[:2], bool)
     if ego is not None:

@@ -117,8 +117,6 @@ class ProofTuning(Section):
 class SkylineTuning(Section):
     """The sky of one image by its border, or above a camera that looks up (`skyline.py`)."""
 
-    border_px: int = Field(160, gt=0)
-    """Longer side at which the border is searched: it gives seeds, not masks."""
     min_share: float = Field(0.02, ge=0, le=1)
     """Least share of the image that is sky ..."""
     rim_px: int = Field(3, gt=0)
@@ -309,8 +307,6 @@ class SkyPointsTuning(Section):
 class RefineTuning(Section):
     """Corrections of the first masks by the model."""
 
-    most_views: int = Field(240, gt=0)
-    """Views whose waterlines measure the water's height."""
     least_track: int = Field(3, gt=0)
     """Least number of images that must see a trusted point."""
     most_points: int = Field(20_000, gt=1)

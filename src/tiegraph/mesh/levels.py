@@ -19,7 +19,6 @@ from tiegraph.scene import gltf
 
 MOST = 50_000
 """Faces of a piece: a megabyte or two without its texture."""
-_EDGE = 8192  # pixels of a texture's edge at most, which graphics cards take
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ def fine(whole: Finished, faces: np.ndarray) -> Piece:
     source[number] = whole.textured.texture[faces]
     low = np.maximum(np.floor(low).astype(int) - PAD, 0)
     high = np.minimum(np.ceil(high).astype(int) + PAD, whole.textured.pages[source])
-    page, at, pages = pack(high - low, _EDGE)
+    page, at, pages = pack(high - low, 8192)  # pixels of a texture's edge at most, which graphics cards take
     drawn = [np.full((size[1], size[0], 3), 128, np.uint8) for size in pages]
     for k, (a, b) in enumerate(zip(low, high)):
         x, y = at[k]

@@ -24,7 +24,6 @@ from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 MOST_POINTS = 4_000_000
 """Points that the surface is made of at most, which bounds the memory."""
 _DEPTHS = (5, 13)  # levels of the octree: 13 are what COLMAP takes at most
-_AROUND = 1.1  # edge of the octree's cube, of the points'
 _NEIGHBOURS, _APART = 6, 1.4  # the sixth neighbour in a square grid lies 1.4 spacings away
 _SPARSEST = 8.0  # spacing of points, in details, that the surface bridges: what is sparser is a few strays
 _POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")])
@@ -186,7 +185,7 @@ def poisson(points: Cloud, detail: float, scratch: Path, send: Any = None) -> Me
     head = [f"element vertex {len(rows)}", *(f"property float {name}" for name in _POINT.names or ())]
     source, target = scratch / "points.ply", scratch / "poisson.ply"
     source.write_bytes(_header(head) + rows.tobytes())
-    extent = _AROUND * float(np.ptp(points.xyz_m, axis=0).max())
+    extent = 1.1 * float(np.ptp(points.xyz_m, axis=0).max())  # edge of the octree's cube, of the points'
     options = pycolmap.PoissonMeshingOptions()
     options.depth = int(np.clip(np.ceil(np.log2(max(extent / detail, 1.0))), *_DEPTHS))
     options.trim, options.color, options.num_threads = 0.0, False, 1

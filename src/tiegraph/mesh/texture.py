@@ -29,7 +29,6 @@ PAD = 2
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 92)
 _BARE = 4  # pixels along the edge of what an unseen face has, with its border
 _FULL = 0.9  # share of the textures that rectangles may fill
-_COARSER = 1.05  # how much coarser it is tried again where they do not fit
 _ALONG = 8  # places along the edge of a seam whose colours are compared
 _WITHIN = 0.15  # of the height of its face: how far within they lie
 _HELD = 1e-4  # weight by which colours stay: what no border tells
@@ -134,7 +133,7 @@ def _fitting(
             raise ReconstructionError(
                 f"{len(size)} patches do not fit on {most} textures of {edge} pixels: raise --mesh.texture-px"
             )
-        texel = max(texel, float(pixel.min())) * _COARSER
+        texel = max(texel, float(pixel.min())) * 1.05  # how much coarser it is tried again where they do not fit
 
 
 def _texel(size: np.ndarray, pixel: np.ndarray, area: float) -> float:

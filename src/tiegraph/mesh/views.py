@@ -20,13 +20,10 @@ from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 from tiegraph.scene.sorting import Arrays
 
 UNSEEN = -1
-_FINEST = 1600  # pixels along the longer side of a buffer: bounds its memory and time
 _STEEPEST = 5.0  # tangent of the angle at which a face is seen, for how far its depth may be off
 _AROUND_PX = 16  # pixels of a buffer along the edge of a cell, in which places are counted whose depth it confirms
 _FACES = 200_000  # drawn at once
 _PIXELS = 4_000_000  # pixels that are looked at together: bounds the memory to some 300 MB
-_MOST_VIEWS = 8  # of a face that are compared: the best
-_ABSORBED = 3  # times that small patches go to their neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +39,7 @@ def seen_by(camera: Pinhole, mesh: Mesh, mask: np.ndarray, own: DepthMap | None,
     """The faces of a mesh that an image sees whole, through the pixels of ``mask`` (H, W) bool; ``own``: its depth map,
     if it has one."""
     xy, z = camera.project(mesh.xyz)
-    shrunk = min(1.0, _FINEST / max(camera.size))
+    shrunk = min(1.0, 1600 / max(camera.size))  # pixels along the longer side of a buffer: bounds its memory and time
     size = (max(1, round(camera.size[0] * shrunk)), max(1, round(camera.size[1] * shrunk)))
     scale = np.array(camera.size) / size
     corners = mesh.corners
@@ -123,7 +120,7 @@ def chosen(seen: list[Seen], mesh: Mesh, tuning: ViewTuning) -> np.ndarray:
     table = _best(seen, len(mesh.corners))
     pairs = mesh.neighbours()
     label = _agreed(table, pairs, tuning)
-    for _ in range(_ABSORBED):
+    for _ in range(3):  # small patches go to their neighbours
         label = _absorbed(label, table, pairs, tuning.least_faces)
     return label
 
@@ -137,7 +134,7 @@ def _best(seen: list[Seen], faces: int) -> csr_matrix:
     order = np.lexsort((view, -quality, face))
     face, view, quality = face[order], view[order], quality[order]
     first = np.searchsorted(face, face)
-    kept = np.arange(len(face)) - first < _MOST_VIEWS
+    kept = np.arange(len(face)) - first < 8  # the best views of a face are compared
     shape = (faces, max(len(seen), 1))
     return coo_matrix(((quality / quality[first])[kept], (face[kept], view[kept])), shape).tocsr()
 

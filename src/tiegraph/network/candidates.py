@@ -16,7 +16,7 @@ import numpy as np
 
 from tiegraph.errors import SettingsError
 from tiegraph.network.axes import allowed_within
-from tiegraph.network.loose import scored_pairs
+from tiegraph.network.loose import scored_pairs, words_of
 from tiegraph.network.offsets import estimate_offsets
 from tiegraph.network.passes import (
     Context,
@@ -64,7 +64,7 @@ def find_candidates(
     cache: MatchCache,
     settings: CandidatesSettings,
     tuning: Tuning,
-    descriptors: Descriptors | None = None,
+    descriptors: Descriptors,
 ) -> Candidates:
     """Candidate pairs of a scene from the sources of the settings.
 
@@ -216,8 +216,9 @@ def _not_compared(context: Context, found: PoseResult) -> Proposal:
     worlds = len(np.unique(world[world >= 0]))
     pairs = estimate_offsets(context).pairs | sequence(context).pairs
     alone = np.intersect1d(loose_images(scene), np.flatnonzero(world < 0))
-    pairs = pairs | scored_pairs(context, alone)
-    if worlds > 1 and context.descriptors is not None:  # passes may meet at single places
+    if len(alone):
+        pairs = pairs | scored_pairs(context, alone, words_of(context))
+    if worlds > 1:  # passes may meet at single places
         pairs = pairs | retrieve(context, found.pairs | pairs).pairs
     pairs = pairs.where(np.any(_which(world, pairs), axis=0))
     lost, across = (int(which.sum()) for which in _which(world, pairs.kept()))
@@ -271,13 +272,8 @@ def automatic(context: Context) -> Proposal:
             said.append("poses")
             # Poses along a pass are judged by the coarse model; for loose photographs every pair is previewed.
             parts.append(confirmed(poses(context), context) if len(loose) else poses(context))
-        if context.descriptors is not None:
-            said.append("retrieval")
-            known = reduce(or_, (p.pairs for p in parts), Pairs.empty())
-            parts.append(retrieve(context, known))
-        elif len(loose):
-            said.append("previews of loose photographs")
-            parts.append(Proposal(scored_pairs(context, loose)))
+        said.append("retrieval")
+        parts.append(retrieve(context, reduce(or_, (p.pairs for p in parts), Pairs.empty())))
     return reduce(or_, parts, Proposal(Pairs.empty(), (f"sources chosen: {', '.join(said)}",)))
 
 

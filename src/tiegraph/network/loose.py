@@ -97,6 +97,11 @@ def bags_of_words(descriptors: Sequence[np.ndarray], tuning: VocabularyTuning) -
     return BagsOfWords(_unit(both))
 
 
+def words_of(context: Context) -> BagsOfWords:
+    """The words of all images of a scene, by their previews."""
+    return bags_of_words(context.descriptors(), context.tuning.retrieval.vocabulary)
+
+
 def nearest_images(
     descriptors: Sequence[np.ndarray], count: int, tuning: VocabularyTuning
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +203,7 @@ class _Nodes:
 
     image: np.ndarray
     loose: np.ndarray
-    words: BagsOfWords | None
+    words: BagsOfWords
 
     def __len__(self) -> int:
         return len(self.image)
@@ -219,7 +224,7 @@ class _Nodes:
         return context.cache.measure(self.image[a], self.image[b])
 
 
-def scored_pairs(context: Context, images: np.ndarray, words: BagsOfWords | None = None) -> Pairs:
+def scored_pairs(context: Context, images: np.ndarray, words: BagsOfWords) -> Pairs:
     """Pairs of loose images (K,) among each other and with the images of passes, by previews.
 
     Up to ``all_limit`` images every pair is previewed; beyond, a number per image: look-alikes by ``words`` (of all
@@ -243,8 +248,7 @@ def scored_pairs(context: Context, images: np.ndarray, words: BagsOfWords | None
     score = nodes.measure(key, context)
     keep = supported((a, b), score, len(nodes), least, tuning)
     keep |= among_best(np.r_[i, j], np.r_[score, score], loose.best).reshape(2, -1).any(axis=0) & (score > 0)
-    source = "exhaustive" if words is None else "retrieval"
-    return Pairs.make(i, j, source, score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
+    return Pairs.make(i, j, "retrieval", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
 
 def supported(
@@ -280,12 +284,9 @@ def _propagated(nodes: _Nodes, context: Context) -> np.ndarray:
     count, tuning, least = len(nodes), context.tuning, context.settings.min_matches
     loose, sure = tuning.retrieval.loose, tuning.retrieval.sure_alike * least
     budget = tuning.previews_an_image * count
-    if nodes.words is None:
-        budget = max(80_000, int(0.06 * count * (count - 1) / 2))
-    rng = np.random.default_rng(0)
     own = np.flatnonzero(nodes.loose)
     near = [nodes.keys(own[:-step], own[step:]) for step in range(1, loose.by_name + 1)]
-    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, rng, loose)]))
+    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, loose)]))
     depth = 0
     while True:
         score = nodes.measure(key, context)
@@ -294,22 +295,19 @@ def _propagated(nodes: _Nodes, context: Context) -> np.ndarray:
         degree = np.bincount(np.r_[a[tied], b[tied]], minlength=count)
         depth += 1
         lonely = own[degree[own] < loose.few_ties]
-        deeper = _starts(nodes, lonely, depth, rng, loose)
+        deeper = _starts(nodes, lonely, depth, loose)
         friends = _friends(nodes, (a, b), score, least)
         new = np.setdiff1d(np.union1d(friends, deeper), key)
         if not len(new) or len(key) + len(new) > budget:
             return key
         hits = nodes.measure(new, context) >= sure
         key = np.union1d(key, new)
-        if nodes.words is not None and hits.mean() < loose.hit_rate:
+        if hits.mean() < loose.hit_rate:
             return key
 
 
-def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generator, tuning: LooseTuning) -> np.ndarray:
-    """Numbers of each start's look-alikes, further down its list with ``depth``; random partners without words."""
-    if nodes.words is None:
-        repeated = np.repeat(start, 20)
-        return nodes.keys(repeated, rng.integers(0, len(nodes), len(repeated)))
+def _starts(nodes: _Nodes, start: np.ndarray, depth: int, tuning: LooseTuning) -> np.ndarray:
+    """Numbers of each start's look-alikes, further down its list with ``depth``."""
     if not len(start):
         return np.zeros(0, np.int64)
     other, _ = nodes.words.among(nodes.image).nearest(tuning.start * (depth + 1), start)
@@ -331,8 +329,7 @@ def _friends(nodes: _Nodes, known: tuple[np.ndarray, np.ndarray], score: np.ndar
         fresh = (row != column) & (nodes.loose[row] | nodes.loose[column])
         fresh &= ~np.isin(np.minimum(row, column).astype(np.int64) * count + np.maximum(row, column), old)
         row, column, value = row[fresh], column[fresh], value[fresh]
-        if nodes.words is not None:
-            value = value * nodes.words.between(nodes.image[row], nodes.image[column])
+        value = value * nodes.words.between(nodes.image[row], nodes.image[column])
         chosen = among_best(row, value, 6)
         out.append(nodes.keys(row[chosen], column[chosen]))
     return np.unique(np.concatenate(out))

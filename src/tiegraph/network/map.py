@@ -28,8 +28,6 @@ def grouped(number: float) -> str:
 
 MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
 MAX_LINES = 2500  # the strongest of each kind
-_DENSE_LIMIT = 500  # up to here by LAPACK: if all nodes tie equally, ARPACK's vectors are arbitrary
-_SPECTRAL_LIMIT = 3000  # loose images laid out by their ties; beyond, on a circle
 _BULGE = 0.28  # height of a short arc, as a share of its chord
 _HIGHEST = 0.11  # height of the longest arc, as a share of the map's longer side
 _ARC = np.linspace(0, 1, 13)
@@ -130,14 +128,14 @@ def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
     a, b = scene.frame[kept.i], scene.frame[kept.j]
     angle = 2 * np.pi * np.arange(n) / max(n, 1)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    if not 4 < n <= _SPECTRAL_LIMIT or not len(kept):
+    if not 4 < n <= 3000 or not len(kept):  # loose images laid out by their ties; beyond, on a circle
         return circle
     # A faint tie between all nodes keeps separate components apart and the problem well posed.
     strength = np.where(kept.inliers > 0, kept.inliers, kept.score).astype(float)  # verified, else of previews
     usual = max(float(np.nanmean(strength)), 1.0) if np.isfinite(strength).any() else 1.0
     graph = coo_array((np.nan_to_num(strength / usual, nan=1.0), (a, b)), shape=(n, n)).tocsr()
     dense, root = laplacian((graph + graph.T).toarray() + 0.02, normed=True, return_diag=True)
-    if n <= _DENSE_LIMIT:
+    if n <= 500:  # up to here by LAPACK: if all nodes tie equally, ARPACK's vectors are arbitrary
         place = eigh(dense, subset_by_index=[1, 2])[1]
     else:
         place = eigsh(dense, k=3, sigma=-0.01, v0=np.random.default_rng(0).random(n))[1][:, 1:3]

@@ -23,7 +23,6 @@ from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, Visibility
 from tiegraph.scene.scene import Scene, of_frames
 
 _PAIRS_AT_ONCE = 20_000  # pairs whose points are looked up at once: bounds the memory
-_AXES_LISTED = 1000  # images, beyond which pairs excluded by the axes are counted and not listed
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def _with_axes(
     if not count:
         return pairs, []
     said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not matched"
-    if len(scene) > _AXES_LISTED:
+    if len(scene) > 1000:  # images, beyond which pairs excluded by the axes are counted and not listed
         return pairs, [f"{said} (not listed one by one)"]
     ends = [np.zeros((2, 0), int)]
     for p, cameras in zip(passes, excluded):

@@ -14,7 +14,7 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 MatchFunction = Callable[[np.ndarray], Sequence[Any]]  # pairs (P, 2) -> P features.preview.PreviewMatch
-Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
+Descriptors = Callable[[], Sequence[np.ndarray]]  # root-SIFT (K, 128) u1 of every image
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Context:
     cache: MatchCache
     settings: CandidatesSettings
     tuning: Tuning
-    descriptors: Descriptors | None = None  # of all previews; None = no retrieval
+    descriptors: Descriptors  # of all previews
 
 
 @dataclass(frozen=True)

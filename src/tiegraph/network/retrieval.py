@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.errors import SettingsError
-from tiegraph.network.loose import BagsOfWords, bags_of_words, scored_pairs
+from tiegraph.network.loose import BagsOfWords, scored_pairs, words_of
 from tiegraph.network.passes import Context, Pass, Proposal, loose_images
 from tiegraph.network.scorematrix import NoiseFloor, noise_floor
 from tiegraph.network.tuning import LoopSearchTuning
@@ -29,13 +28,8 @@ Ends = tuple[np.ndarray, np.ndarray]
 
 
 def retrieve(context: Context, known: Pairs | None = None) -> Proposal:
-    """Pairs of loose photographs and loops of passes; ``known`` (kept) pairs and their surroundings are no loops.
-
-    The descriptors are root-SIFT (K, 128) u1 of the preview of every image. Raises SettingsError without them.
-    """
-    if context.descriptors is None:
-        raise SettingsError("candidates.sources has 'retrieval', but the descriptors of the previews are not available")
-    words = bags_of_words(context.descriptors(), context.tuning.retrieval.vocabulary)
+    """Pairs of loose photographs and loops of passes; ``known`` (kept) pairs and their surroundings are no loops."""
+    words = words_of(context)
     loose = loose_images(context.scene)
     pairs = scored_pairs(context, loose, words)
     notes = (f"retrieval: {len(pairs.kept())} pairs of {len(loose)} loose photographs",) if len(loose) else ()

@@ -38,7 +38,7 @@ from tiegraph.pipeline.files import (
     world_unit,
 )
 from tiegraph.pipeline.mesh import FOLDER as MESH
-from tiegraph.pipeline.meshtiles import write_mesh_tiles
+from tiegraph.pipeline.mesh import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.stages import files_below, write_atomic

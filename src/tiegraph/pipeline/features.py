@@ -215,8 +215,7 @@ def features(run: Run) -> Outcome:
     counts = np.array(list(database.feature_counts(path).values()))
     lost = database.lost_features(path, scene, range(len(scene)))
     out = {"images": len(scene), "features": int(counts.sum()), "median_features": float(np.median(counts))}
-    on_device = run.settings.features.engine == "colmap" and on_gpu()
-    return Outcome(out, dropped=tuple(lost), notes=("features by COLMAP on a GPU",) if on_device else ())
+    return Outcome(out, dropped=tuple(lost))
 
 
 def _features_item(

@@ -244,7 +244,7 @@ def _lines(
     views = _views(run, scene, model, matrices)
     tuning = run.settings.tuning.masks.waterline
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
-    count = min(run.settings.tuning.masks.refine.most_views, len(level))
+    count = min(240, len(level))  # views whose waterlines measure the water's height
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
     first = run.map(read_image, [classes_path(run.folder, n) for n in chosen])
     water = find_water([views[n] for n in chosen], [first_line(c, tuning) for c in first], points, up.direction, tuning)

@@ -11,9 +11,11 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
+from tiegraph.export.tiles3d import Place, Tile, write_tree
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import need_room
 from tiegraph.mesh.files import Textured, glb, mtl, obj
+from tiegraph.mesh.levels import Finished, branches, coarse, fine
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
 from tiegraph.mesh.texture import (
@@ -271,3 +273,26 @@ def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
     if unit != "m":
         notes.append("the model has no scale: lengths are in its own units")
     return Outcome(counts, notes=tuple(notes))
+
+
+# --- `tiegraph export --to 3dtiles`: levels of detail of the finished mesh ---
+
+
+def write_mesh_tiles(run: Run, place: Place, target: Path) -> None:
+    """Write the mesh of a run as tiles that replace each other, with their tree, into a new folder."""
+    with reading(run.path(FOLDER, "mesh.glb")):
+        found = Finished.read(run.path(FOLDER, "mesh.glb").read_bytes(), run.path(FOLDER, "mesh.ply"))
+    whole = found.moved(place.tiles_from_world)
+    target.mkdir()
+    call = partial(run_in_child, log=run.log, task="COLMAP's simplification")
+
+    def tile(faces: np.ndarray, name: str) -> Tile:
+        below = branches(whole, faces)
+        with scratch_folder(target) as scratch:
+            made = coarse(whole, faces, scratch, call) if below else fine(whole, faces)
+        (target / f"{name}.glb").write_bytes(made.glb)
+        out = Tile(uri=f"{name}.glb", low=made.low, high=made.high, error=made.error)
+        out.below = [tile(part, f"{name}{k}") for k, part in enumerate(below)]
+        return out
+
+    write_tree(tile(np.arange(len(whole.mesh.corners)), "t"), place, "REPLACE", target)

@@ -40,7 +40,6 @@ T = TypeVar("T")
 TILE = 1024
 """Pixels along the edge of a tile."""
 _MOST_SOURCES = np.iinfo(np.uint16).max
-_SAMPLE = 100_000  # points of the cloud that determine the surfaces
 
 
 def products(run: Run) -> Outcome:
@@ -53,7 +52,7 @@ def products(run: Run) -> Outcome:
     counted = run.receipts.read("cloud")["counts"]
     place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
     with reading(run.path(CLOUD)):
-        sample = copc_sample(run.path(CLOUD), place.origin, _SAMPLE)
+        sample = copc_sample(run.path(CLOUD), place.origin, 100_000)  # points of the cloud that determine the surfaces
     survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
     about = {"place": place, "tuning": tuning, "tile": TILE}

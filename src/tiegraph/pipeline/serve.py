@@ -43,8 +43,6 @@ from tiegraph.scene.scene import Scene
 
 _CHUNK = 1 << 20  # bytes of an upload read at once
 _ROOM = 1 << 28  # bytes of the disk that uploads leave free
-_MOST_PLACES = 3000  # drawn on the map
-_LAST_LINES = 200
 # What the page may set: the option of `tiegraph run`, and whether it may be the name of a file that was handed over.
 OPTIONS = {
     "rig": True, "camera": True, "gnss": True, "times": True, "gcp": True, "marks": True, "trajectory": True,
@@ -145,7 +143,7 @@ class Session:
                 self._stages.setdefault(event["stage"], {}).update(event)
             except (ValueError, TypeError, KeyError):
                 if line.strip() and not line.startswith("{"):
-                    self._lines = [*self._lines, line.rstrip()][-_LAST_LINES:]
+                    self._lines = [*self._lines, line.rstrip()][-200:]
 
     def state(self) -> dict[str, Any]:
         """All that the page shows."""
@@ -178,7 +176,7 @@ class Session:
             return None
         place = scene.world_from_rig[:, :2, 3]
         known = np.flatnonzero(np.isfinite(place).all(axis=1))
-        known = known[:: max(len(known) // _MOST_PLACES, 1)]
+        known = known[:: max(len(known) // 3000, 1)]  # drawn on the map
         places = [[round(float(x), 2), round(float(y), 2), int(scene.sequence[k])] for k, (x, y) in
                   zip(known, place[known])]  # fmt: skip
         return {"lines": describe(scene), "places": places, "passes": list(scene.sequences)}

@@ -133,7 +133,7 @@ class Watched:
         self._model_if_due(now)
         news = bool(names) or made is not None or before != (self.arrivals.trouble, self._trouble)
         self._unsaved = self._unsaved or news
-        if self._unsaved and now - self._saved > self.tuning.save_s:
+        if self._unsaved and now - self._saved > 10.0:  # seconds between two writings
             self.keep()
             self._saved = now
         return news or was_busy != self._models.busy

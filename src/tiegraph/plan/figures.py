@@ -217,7 +217,7 @@ def effort(
         image_bytes=tuning.image_bytes * pixels,
         model_bytes=tuning.room_bytes * images + tuning.feature_bytes * features,
         dense_bytes=tuning.dense_bytes * matched + tuning.products_bytes * pixels,
-        scratch_bytes=tuning.copied_bytes * features,
+        scratch_bytes=160.0 * features,  # bytes of a feature, in the copy of the database that `sparse` works on
         sparse_cpu_s=tuning.start_s
         + tuning.image_s * images
         + tuning.megapixel_s * frames * _pixels(sizes, tuning.features_px) / 1e6,

@@ -108,7 +108,7 @@ class ImageRequest:
             rate_hz=self.rate,
             exposure_s=None if self.exposure is None else self.exposure / 1000,
         )
-        return asked if overlap is not None or asked.step_m is not None else replace(asked, overlap=_OVERLAP)
+        return asked if overlap is not None or asked.step_m is not None else replace(asked, overlap=0.8)
 
     def distances(self) -> list[float]:
         """Distances of the sweep. Raises InputError without any."""
@@ -221,9 +221,6 @@ class PlanRequest:
     path: PathRequest = PathRequest()
     world: WorldRequest = WorldRequest()
     output: OutputRequest = OutputRequest()
-
-
-_OVERLAP = 0.8
 
 
 def numbers(name: str, text: str | None) -> list[float | None]:

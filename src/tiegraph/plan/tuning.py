@@ -27,8 +27,6 @@ class EffortTuning(Section):
     features_a_megapixel: float = Field(5600.0, gt=0)
     """Features, up to those that an image may keep. The room up to `georef`, as `du` has it, kB an image: canal_demo
     323 measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, Herz-Jesus-P8 1004 and 1134."""
-    copied_bytes: float = Field(160.0, gt=0)
-    """Of a feature, in the copy of the database that `sparse` works on."""
     features_px: float = Field(3200.0, gt=0)
     """As `features.max_image_size`, and ..."""
     dense_px: float = Field(3200.0, gt=0)

@@ -26,7 +26,6 @@ _BLOCK = 512  # pixels along the edge of a block of the file
 _OVER_RAW = 1.5  # a file with its overviews takes so many times the bytes of its pixels at most
 PICTURE_PX = 1400
 """Width of a picture at most."""
-_QUALITY = 85
 _TAILS = (0.5, 99.5)  # percentiles of the heights between which the colours spread
 _BAR, _STEPS = 44, 5  # height of the strip with the scale, pixels; numbers on it
 _FONT, _LETTERS = cv2.FONT_HERSHEY_SIMPLEX, 0.5
@@ -203,7 +202,7 @@ def _shape(raster: rasterio.io.DatasetReader, width: int) -> tuple[int, int]:
 
 
 def _jpeg(bgr: np.ndarray) -> bytes:
-    return cv2.imencode(".jpg", bgr.astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+    return cv2.imencode(".jpg", bgr.astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
 
 def _tints(share: np.ndarray) -> np.ndarray:

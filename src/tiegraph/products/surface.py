@@ -18,10 +18,7 @@ from tiegraph.scene.sorting import evenly
 
 NODATA = -9999.0
 MAP = "map"
-_TRIED = 400  # planes that are tried for each wall
-_ASKED = 10_000  # points of a surface for its extent and the resolution of the images
 _SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
-_REFINED = 5  # times a plane is fitted to the points near it
 _FEWEST = 10  # points on a reference plane at least
 
 
@@ -167,13 +164,13 @@ def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
     found: list[Surface] = []
     while len(found) < tuning.walls and free.sum() >= _FEWEST:
         at = np.flatnonzero(free)
-        tried = np.random.default_rng(0).permutation(at)[:_TRIED]
+        tried = np.random.default_rng(0).permutation(at)[:400]  # planes that are tried for each wall
         planes = [_plane(xyz[k], normal[k]) for k in tried]
         near = [_near(survey, plane, tuning.flatness) for plane in planes]
         votes = [np.count_nonzero(_on(xyz[at], normal[at], p, n, tuning)) for p, n in zip(planes, near)]
         best = int(np.argmax(votes))
         plane, within = planes[best], near[best]
-        for _ in range(_REFINED):
+        for _ in range(5):  # times a plane is fitted to the points near it
             on = at[_on(xyz[at], normal[at], plane, within, tuning)]
             plane = _fitted(xyz[on], plane)
         share = len(on) / len(xyz)
@@ -246,7 +243,7 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     """The surface with the size of its pixels, and a box of whole pixels around nearly all points that images
     resolve."""
     own = survey.sample.xyz_m[_inside(surface, survey.sample)]
-    own = own[evenly(len(own), _ASKED)]
+    own = own[evenly(len(own), 10_000)]  # points of a surface for its extent and the resolution of the images
     sizes = np.full(len(own), np.nan)  # of a pixel of the nearest image that sees a point
     for view in survey.views:
         sizes = np.fmin(sizes, project(view, own)[2] / view.focal)

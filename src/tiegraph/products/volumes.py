@@ -43,7 +43,6 @@ from tiegraph.products.tuning import VolumeTuning
 _FINER = 4  # parts of a pixel along its edge for its share inside a polygon
 _SAMPLE = 512  # pixels along the edge of the sample for common errors
 _FITS = 2.0  # planes do not fit where the scatter about them is larger than the usual one by this factor
-_LEAST = 0.1  # correlation below which two pixels share nothing
 _AT_ONCE = 1000  # places that are read together: a window of so many pixels along its edge at most
 _SIZE = (10.0, 4.5)  # inches
 _DRAWN = {"dsm": ("surface", "0.45"), "dtm": ("terrain", "tab:brown")}
@@ -212,7 +211,7 @@ def shared_errors(patch: Patch, tuning: VolumeTuning) -> tuple[float, float]:
         pairs = [ratio[lag:] * ratio[:-lag], ratio[:, lag:] * ratio[:, :-lag]]
         found = np.concatenate([p[np.isfinite(p)] for p in pairs])
         alike = float(found.mean()) / max(seen, 1e-12) if len(found) else 0.0
-        if alike < _LEAST:
+        if alike < 0.1:  # correlation below which two pixels share nothing
             break
         together += 2 * np.pi * lag * alike
     lost = together / (4 * np.pi * tuning.local_px**2)  # of the variance, to the planes

@@ -38,8 +38,6 @@ _CONNECT_S = 8.0
 _WORKERS_S = 8.0  # until the scheduler has a worker
 _FREE_S = 60.0  # for a worker to finish its present task and to load tiegraph
 _END_S = 30.0  # for the items under way to end after an error
-_LOOK_S = 1.0  # between two checks whether all workers are there
-_ANSWER_S = 60.0  # for the scheduler's answer to that
 _SHARED_BYTES = 2**18  # larger data goes to each worker once
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application", "asyncio")
 
@@ -254,7 +252,7 @@ class DaskExecutor(Executor):
 
     async def _watch(self) -> None:
         while not (self._over or self._lost):
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(1.0)  # between two checks whether all workers are there
             self._lost = await self._look()
         for future in list(self._waiting) if self._lost else ():
             with suppress(InvalidStateError):
@@ -263,7 +261,7 @@ class DaskExecutor(Executor):
     async def _look(self) -> str:
         """Why the run cannot go on, "" while it can. A worker that has gone is named once."""
         try:
-            there = await asyncio.wait_for(self._client.nthreads(), _ANSWER_S)
+            there = await asyncio.wait_for(self._client.nthreads(), 60.0)  # for the scheduler's answer to that
         except Exception as error:
             return "" if self._over else self._gone(error)
         gone = [w for w in self._workers if w not in there]

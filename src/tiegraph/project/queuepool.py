@@ -12,8 +12,6 @@ from tiegraph.errors import EngineMissing, InputError, SettingsError
 from tiegraph.project.daskpool import Quiet, open_dask
 from tiegraph.project.pool import Place
 
-_LOOK_S = 1.0  # between two looks whether the queue has started a job
-
 
 def open_slurm(jobs: int, place: Place | None) -> tuple[Executor, int]:
     """(executor, number of workers at first) of a scheduler in this process, once a job has begun, which may take the
@@ -44,7 +42,7 @@ def open_slurm(jobs: int, place: Place | None) -> tuple[Executor, int]:
             what = "1 job" if jobs == 1 else f"{jobs} jobs"
             place.say(f"pool slurm: {what} submitted; the run begins when the queue starts the first (squeue shows it)")
         while not cluster.scheduler_info["workers"]:
-            time.sleep(_LOOK_S)
+            time.sleep(1.0)  # between two looks whether the queue has started a job
     except BaseException as error:
         with suppress(AssertionError):  # that every job was begun
             cluster.close()

@@ -30,7 +30,6 @@ from tiegraph.text import one_line, some
 
 _CACHE, _LIST = "tiegraph_cache", "fetched.jsonl"
 _URL = re.compile(r"([a-z][a-z0-9+]+):/{1,2}(?=[^/])")
-_AT_ONCE = 8  # files under way
 _SHOWN = 3
 _LACKING = -1  # in the list, as the size of a file: it could not be fetched
 # What tells whether an object has changed, by the names that fsspec's file systems give it
@@ -225,7 +224,7 @@ class _Copy:
 
 def _together(function: Callable[[str], Any], names: Sequence[str]) -> Iterator[tuple[str, Any]]:
     """(name, ``function(name)``) as they come, several at once. After an error those that wait are not begun."""
-    threads = ThreadPoolExecutor(_AT_ONCE)
+    threads = ThreadPoolExecutor(8)  # files under way
     try:
         futures = {threads.submit(function, name): name for name in names}
         for future in as_completed(futures):

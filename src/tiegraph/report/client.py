@@ -23,7 +23,6 @@ from tiegraph.report.texts import capital, said, t
 from tiegraph.text import finite, printable
 
 FORMAT = 1
-_PROBLEMS = 3
 _FILES = {
     "cloud.copc.laz": "point cloud for viewers (COPC), colours, sigma of each point",
     "cloud.laz": "point cloud as LAZ, colours, sigma of each point",
@@ -57,7 +56,7 @@ def client_page(run: RunFolder, settings: ReportSettings, seen: Scenery | None, 
 def worst(verdict: Verdict) -> list[str]:
     """The worst problems, the worst first: contradictions come before warnings, which are ranked already; [] if the
     run found nothing wrong."""
-    return [*verdict.contradictions, *verdict.warnings][:_PROBLEMS]
+    return [*verdict.contradictions, *verdict.warnings][:3]
 
 
 def deliverables(run: RunFolder) -> list[tuple[str, str, int]]:

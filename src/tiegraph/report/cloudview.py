@@ -25,7 +25,6 @@ from tiegraph.report.texts import t
 from tiegraph.text import round_below
 
 log = logging.getLogger(__name__)
-_MOST = 1_000_000  # points of a file that are read
 _NEAR = 3.0  # a point has the value of a measured one within this distance, in spacings of these
 _FILES = {  # of measured distances: their name in the view, and whether they have a sign
     "evaluate/distances.laz": ("distance to the reference cloud", False),
@@ -33,7 +32,6 @@ _FILES = {  # of measured distances: their name in the view, and whether they ha
 }
 VIEW_PX = 1400  # width of the static views
 _IMAGES, _PICTURES = 5000, 90  # that the interactive view names, and shows
-_EDL_STRENGTH = 2.0
 _EDL_DEAD_PX = 0.7  # noise of a surface that is not shaded
 _EDL_CLIP_PX = 8.0  # a deeper step is not darker
 _MAX_RADIUS_PX = 3
@@ -146,7 +144,7 @@ def _shaded(picture: np.ndarray, buffer: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
             behind = buffer - (opposite[0] + opposite[1]) / 2
         shade += np.clip(np.nan_to_num(behind, nan=0.0, posinf=0.0, neginf=0.0) - _EDL_DEAD_PX, 0, _EDL_CLIP_PX)
-    light = np.exp(-_EDL_STRENGTH * shade / (6 * _EDL_CLIP_PX))
+    light = np.exp(-2.0 * shade / (6 * _EDL_CLIP_PX))
     return (picture * np.where(np.isfinite(buffer), light, 1)[..., None]).astype(np.uint8)
 
 
@@ -321,7 +319,7 @@ def _measured(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 3) of the CRS and their ``distance_m`` (K,), every n-th of a large file."""
     parts = [(np.zeros((0, 3)), np.zeros(0))]
     with laspy.open(path) as reader:
-        for part in some_of(reader, _MOST):
+        for part in some_of(reader, 1_000_000):  # points of a file that are read
             parts.append((np.column_stack([part.x, part.y, part.z]), np.asarray(part["distance_m"], float)))
     xyz, values = (np.concatenate(column) for column in zip(*parts))
     return xyz[np.isfinite(values)], values[np.isfinite(values)]

@@ -34,7 +34,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.text import printable
 
 VIEW_POINTS = 4_000_000  # of the cloud, drawn in the static views
-_MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
 _IMAGES_SHOWN = 5000
 _RIGS_SHOWN, _CAMERAS_SHOWN = 8, 24
@@ -219,7 +218,7 @@ def _mask_strip(run: RunFolder, names: list[str], camera: str, shown: int) -> li
         refined = run.path / "refine"
         return refined if (refined / "masks" / f"{image}.png").exists() else run.path
 
-    spread = np.unique(np.linspace(0, len(names) - 1, _MASKS_READ).astype(int))
+    spread = np.unique(np.linspace(0, len(names) - 1, 25).astype(int))  # masks opened for a camera's mean share
     shares = [mask_share(folder(names[k]) / "masks" / f"{names[k]}.png") for k in spread]
     known = [share for share in shares if share is not None]
     mean = formatting.percent(float(np.mean(known))) if known else ""

@@ -39,7 +39,6 @@ _SAMPLE, _STRAYS = 100_000, 0.03  # points for the extent of the surface; share 
 _FAR = 1.5  # times the size of the passes: surface farther from them is not shown
 _TALLEST, _FLATTEST = 1.15, 0.45  # height over width of a map
 _CELLS = 84  # of the overlap map, across
-_ELLIPSES = 12  # places with an error ellipse
 _OVERLAP = ((2, "#c8442b"), (3, "#e69f00"), (4, "#f0e08c"), (6, "#7fb8d0"), (10, "#0b4f6c"))  # from so many images
 
 
@@ -195,7 +194,7 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
         return None
     place, way = seen.place, np.concatenate([track.seen for track in seen.tracks])
     axis = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]  # along which most of it lies
-    at = way[np.argsort(way @ axis)][evenly(len(way), _ELLIPSES)]
+    at = way[np.argsort(way @ axis)][evenly(len(way), 12)]  # places with an error ellipse
     flat = PlacementError.from_dict(told).covariances(at)[:, :2, :2]
     largest = float(np.sqrt(np.linalg.eigvalsh(flat).max()))
     if not largest > 0:

@@ -16,9 +16,7 @@ from tiegraph.report.texts import capital, said, t
 from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-_MATRIX_PX = 700
 _MATCHES = ((1, "#c7e0ea"), (30, "#7fb8d0"), (100, "#2b7a9b"), (300, "#0a3d55"))  # verified matches from, colour
-_NAMED_BLOCKS = 16
 FEW_TIES = 3  # an image with fewer ties is weakly connected
 
 
@@ -63,12 +61,12 @@ def _matrix(
     names = [" ".join(labels[k]).strip() for k in order]
     starts = [k for k in range(len(names)) if k == 0 or names[k] != names[k - 1]]
     blocks = [((a + b) / 2 / n, names[a]) for a, b in zip(starts, [*starts[1:], len(names)])]
-    size, rising = min(len(scene), _MATRIX_PX), np.argsort(rank, kind="stable")
+    size, rising = min(len(scene), 700), np.argsort(rank, kind="stable")
     place = np.argsort(order)
     row, column = (place[ends[rising]] * size // n for ends in (pairs.i, pairs.j))
     rgba = np.zeros((size, size, 4), np.uint8)
     rgba[row, column] = rgba[column, row] = np.array([[*rgb_of(c), 255] for c in colours])[np.abs(rank[rising])]
-    named = blocks[:: -(-len(blocks) // _NAMED_BLOCKS) or 1]
+    named = blocks[:: -(-len(blocks) // 16) or 1]
     return matrix(png(rgba), named, [k / n for k in starts[1:]], key, label)
 
 

@@ -20,7 +20,6 @@ from tiegraph.scene.colmapmodel import BY_RIG
 from tiegraph.scene.evidence import figures
 
 EVIDENCE = "evidence"  # the table that has a section of its own
-_COLUMNS = 7  # of that table
 _HEAD, _HEADS = 70, 3  # letters and number of contradictions in the headline
 
 
@@ -71,7 +70,7 @@ def evidence_table(run: RunFolder) -> Table | None:
     rows, columns = [], None
     for stage in STAGES:
         data = run.tables(stage).get(EVIDENCE)
-        if not isinstance(data, dict) or len(data.get("columns") or []) != _COLUMNS:
+        if not isinstance(data, dict) or len(data.get("columns") or []) != 7:  # columns of that table
             continue
         columns = data["columns"]
         for k, row in enumerate(data.get("rows") or []):

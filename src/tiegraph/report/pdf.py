@@ -9,7 +9,6 @@ from tiegraph.errors import EngineMissing, InputError
 from tiegraph.scene.atomic import replacing, scratch_folder
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
-_PATIENCE_S = 120.0
 _BEGIN = b"%PDF"
 
 
@@ -41,7 +40,7 @@ def print_pdf(page: Path, target: Path) -> None:
             command.append("--no-sandbox")
         command += [f"--print-to-pdf={made}", page.resolve().as_uri()]
         try:
-            done = subprocess.run(command, capture_output=True, timeout=_PATIENCE_S, check=False)
+            done = subprocess.run(command, capture_output=True, timeout=120.0, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise EngineMissing(f"{browser} did not print {page.name} ({error}): {_REMEDY}") from None
         if not made.is_file() or made.read_bytes()[:4] != _BEGIN:

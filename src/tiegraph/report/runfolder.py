@@ -41,7 +41,6 @@ STAGES = (
 )  # fmt: skip
 _ASKED = 60  # observations of an image
 _CELLS = 12  # across the longer side of an image
-_FEW = 5  # a cell with fewer residuals is ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,5 +356,5 @@ def _cells(size: tuple[int, int], found: list[tuple[np.ndarray, np.ndarray]]) ->
     side = max(size) / _CELLS
     cell, of, count = np.unique((xy // side).astype(int), axis=0, return_inverse=True, return_counts=True)
     mean = np.column_stack([np.bincount(of.ravel(), off[:, c], len(cell)) for c in range(2)]) / count[:, None]
-    enough = count >= _FEW
+    enough = count >= 5  # a cell with fewer residuals is ignored
     return LensResiduals(size=size, at=((cell + 0.5) * side)[enough], moved=mean[enough], observations=len(xy))

@@ -243,7 +243,6 @@ def georeference_sentences(world: dict[str, Any]) -> list[str]:
 
 
 _WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
-_HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
 
 
 def warnings(run: RunFolder) -> list[str]:
@@ -272,7 +271,7 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
         yield 1, t("The placement in the world is weak: {}. More or better positions along the way help.", weak)
     if run.accuracy is not None:
         held, fit = (run.accuracy.figure(f"world.{name}").measured for name in ("held_out", "positions"))
-        if held > _HELDOUT_FACTOR * fit:
+        if held > 2.0 * fit:  # held-out positions this much worse than those used: the model bends to its control
             text = "Positions held back from the fit are met far worse than those used: the model bends to its control."
             yield 1, t(text)
 

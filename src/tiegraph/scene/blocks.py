@@ -33,7 +33,6 @@ from tiegraph.scene.tuning import BlocksTuning, JoiningTuning
 
 _ITERATIONS, _VECTORS = 12, 4  # for the second eigenvector: the next eigenvalues of a long path lie close together
 _ASKED = 40  # shared images, evenly spread, whose rotations are tried for the one with the most agreement
-_ROUNDS = 10  # of the rotations of all blocks
 
 
 @dataclass(frozen=True)
@@ -382,7 +381,7 @@ def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     scale = np.exp(solve @ np.log([x.b_from_a.scale for x in joins]))
     turn = np.stack([s.rotation for s in start])
     measured = np.stack([x.b_from_a.rotation for x in joins])
-    for _ in range(_ROUNDS):
+    for _ in range(10):  # rounds of the rotations of all blocks
         # world_from_a = world_from_b b_from_a; the misclosure, as a rotation vector in the world.
         missing = Rotation.from_matrix(turn[j] @ measured @ np.swapaxes(turn[i], 1, 2)).as_rotvec()
         turn = Rotation.from_rotvec(solve @ missing).as_matrix() @ turn

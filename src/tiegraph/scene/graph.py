@@ -47,35 +47,22 @@ def cheapest_cut(capacity: csr_array, a: int, b: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FrameLinks:
-    """Links between frames a < b (K,): ``row`` the first pair of the link, ``pairs`` their number, and
-    ``independent``: 2 if two of them have no image in common, else 1."""
+    """Links between frames a < b (K,): ``row`` the first pair of a link, ``several`` whether there is another."""
 
     a: np.ndarray
     b: np.ndarray
     row: np.ndarray
-    pairs: np.ndarray
-    independent: np.ndarray
+    several: np.ndarray
 
 
 def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> FrameLinks:
     """The links between frames from pairs of images i, j (P,); pairs within a frame make none."""
-    swap = scene.frame[i] > scene.frame[j]
-    i, j = np.where(swap, j, i), np.where(swap, i, j)
-    key = scene.frame[i].astype(np.int64) * scene.frames + scene.frame[j]
-    order = np.argsort(key, kind="stable")
-    order = order[scene.frame[i[order]] != scene.frame[j[order]]]
-    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
-    if not len(order):
-        none = np.zeros(0, int)
-        return FrameLinks(a=none, b=none, row=none, pairs=none, independent=none)
-
-    def varied(image: np.ndarray) -> np.ndarray:
-        return np.minimum.reduceat(image[order], first) < np.maximum.reduceat(image[order], first)
-
-    row = order[first]
-    return FrameLinks(
-        a=scene.frame[i[row]], b=scene.frame[j[row]], row=row, pairs=count, independent=1 + (varied(i) & varied(j))
-    )
+    low, high = np.sort(scene.frame[np.stack([i, j])], axis=0)
+    row = np.flatnonzero(low != high)
+    key = low[row].astype(np.int64) * scene.frames + high[row]
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    row = row[first]
+    return FrameLinks(a=low[row], b=high[row], row=row, several=count > 1)
 
 
 @dataclass(frozen=True)

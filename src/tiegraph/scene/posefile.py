@@ -30,9 +30,7 @@ _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
 # Limits of a file of poses, and rules for recognising its form; undecided ones are refused.
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
-_EXTENT_M = 1e6  # of a survey
 _PLAY = 1e-2  # tolerance of the length of a quaternion, or of R R^T = 1
-_MOVED = 1e-9  # poses that differ less are the same
 _STEPS, _MOVE = 8, 0.1  # moves needed to see the direction of motion in the body, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
 
@@ -205,7 +203,7 @@ def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
 
 def _check_places(rows: _Rows, xyz: np.ndarray) -> None:
     away = np.abs(xyz - np.median(xyz, axis=0)).max(axis=1)
-    far = np.flatnonzero((np.abs(xyz).max(axis=1) > _FAR_M) | ~(away <= _EXTENT_M))
+    far = np.flatnonzero((np.abs(xyz).max(axis=1) > _FAR_M) | ~(away <= 1e6))  # no survey is wider
     if len(far):
         k = far[int(np.argmax(away[far]))]
         x, y, z = xyz[k]
@@ -215,7 +213,7 @@ def _check_places(rows: _Rows, xyz: np.ndarray) -> None:
 
 
 def _check_moves(rows: _Rows, poses: np.ndarray) -> None:
-    if len(poses) > 1 and np.abs(poses - poses[0]).max() < _MOVED:
+    if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-9:  # poses that differ less are the same
         raise rows.fail(0, f"all {len(poses)} poses are the same: a trajectory without information; omit it")
 
 

@@ -26,7 +26,6 @@ from tiegraph.sfm.mapping import (
     Source,
     believed_cameras,
     map_images,
-    ran_off,
 )
 from tiegraph.sfm.model import Findings, registration_tables
 from tiegraph.sfm.registrationreport import (
@@ -36,6 +35,7 @@ from tiegraph.sfm.registrationreport import (
     models_table,
     no_base,
     no_model_text,
+    ran_off,
     rig_doubts,
     unregistered,
     weakly_constrained,

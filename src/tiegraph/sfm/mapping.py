@@ -1,13 +1,4 @@
-"""The choice of the mapper, and what is tried when it loses images.
-
-Focal lengths can diverge when a mapper starts from nothing. With a short base and a narrow field of view, focal
-length and depth are interchangeable (the bas-relief ambiguity), and the incremental mapper adjusts both with its
-first two images. Forty frames of a hand-held camera of 585 px ended at 1210 px: every image had its place, but the
-centres were 43 mm off instead of 17, and no adjustment recovers from these poses, not even with the focal length
-held. A given focal length, from a data sheet or EXIF, is usually nearer to the truth, but not always (a video is
-cropped). So the other mapper is run too, both models go through the final adjustment, and the one that explains the
-images better is kept.
-"""
+"""The choice of the mapper, and what is tried when it loses images."""
 
 from __future__ import annotations
 
@@ -18,19 +9,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
-from tiegraph.scene.blocks import in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, observations, read_model
 from tiegraph.scene.rig import calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm.adjustment.adjust import final_adjustment, robust_cost
-from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.model import Findings, frame_poses
-from tiegraph.sfm.registrationreport import no_model_text, ran_off
+from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, run_mapper
 from tiegraph.sfm.settings import SparseSettings
@@ -60,7 +47,6 @@ class Source:
     apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``mapper``)
     unsupported: tuple[int, ...] = ()  # keys of sensors whose pairs are refused: the rig places them as given
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in an accepted rough model
-    run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images
 
 
@@ -145,11 +131,10 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 def map_images(job: Job, label: str = "") -> Outcome:
     """Start from the coarse model unless a certain mapper is requested. Without a coarse model, or if the result
-    fails the acceptance test, run a mapper; a large survey is mapped in blocks.
+    fails the acceptance test, run a mapper.
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
-    whole = in_one_piece(job.scene, job.shared.blocks)
     asked, notes = job.settings.mapper == "auto" and not label, job.account.notes
     if asked and job.source.preview is not None:
         outcome = _run(job, "preview", label)
@@ -158,16 +143,6 @@ def map_images(job: Job, label: str = "") -> Outcome:
         notes.append(
             f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
             "initial poses"
-        )
-    if asked and not whole and not job.source.rough:
-        request = _request(job, choose_mapper(job))
-        cam_from_world, said = poses_by_blocks(request, job.graph, job.shared, job.log, job.source.run_map)
-        notes.append(said)
-        outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
-        if outcome.folders:
-            return _with_others(job, outcome)
-        notes.append(
-            f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
         )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
     # A rough model and one without the rig are intermediate steps; the images they leave out are dealt with in the
@@ -245,7 +220,7 @@ def _mapped(job: Job, label: str) -> Outcome:
     first = choose_mapper(job)
     auto, rough = job.settings.mapper == "auto", job.source.rough
     reachable, tuning = job.graph.components[0], job.tuning.mapping
-    enough = (tuning.roughly_fewer if rough else tuning.clearly_fewer) * reachable if auto else 0
+    enough = tuning.clearly_fewer * reachable if auto else 0
     both = auto and first == "incremental"
     outcome = _run(job, first, label)
     for mapper, seed in ((first, 1), (_OTHER[first], 0)):
@@ -268,7 +243,7 @@ def _mapped(job: Job, label: str) -> Outcome:
     if job.settings.mapper not in ("auto", outcome.mapper):
         text = f"{first} mapping was requested, but its process ended: {outcome.mapper} mapping made the model"
         job.account.contradictions.append(text)
-    return _near_given_focal_lengths(job, outcome, label)
+    return outcome
 
 
 def _explained(job: Job, outcome: Outcome) -> float:
@@ -277,27 +252,6 @@ def _explained(job: Job, outcome: Outcome) -> float:
         return 0.0
     model, verified = read_model(outcome.folders[0]), job.matches().read(job.scene)
     return share_explained(model, job.scene, verified, job.tuning.placement.agreement)
-
-
-def _near_given_focal_lengths(job: Job, outcome: Outcome, label: str) -> Outcome:
-    """Try the other mapper if a focal length is far from the given one, and keep the model that explains the images
-    better."""
-    if job.settings.mapper != "auto":
-        return outcome
-    model = read_model(outcome.folders[0])
-    off = ran_off(model, job.scene, job.tuning.mapping.other_focal)
-    if off is None:
-        return outcome
-    again = _run(job, _OTHER[outcome.mapper], label)
-    if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
-        return outcome
-    before, after = (cost_in_the_end(m, job) for m in (model, read_model(again.folders[0])))
-    kept = again if after < before else outcome
-    job.account.notes.append(
-        f"{outcome.mapper} mapping made {off}; by {again.mapper} mapping the robust sum of squares is "
-        f"{after / before:.2f} times as large: the {kept.mapper} model is kept"
-    )
-    return kept
 
 
 def _request(job: Job, mapper: str, seed: int = 0, only: np.ndarray | None = None) -> Request:
@@ -349,10 +303,3 @@ def _run(job: Job, mapper: str, label: str, seed: int = 0, only: np.ndarray | No
 def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
     reconstruction = read_model(folder)
     return int(np.sum(observations(reconstruction, scene) >= least)), reconstruction.num_points3D()
-
-
-def cost_in_the_end(model: pycolmap.Reconstruction, job: Job) -> float:
-    """Mean Cauchy cost of an observation after the final adjustment, px2."""
-    tuning, cameras = job.tuning.adjust, believed_cameras(job.scene, job.settings)
-    adjusted = final_adjustment(model, [k + 1 for k in job.held_rigs()], cameras, tuning=tuning).model
-    return robust_cost(adjusted, tuning.robust_px)

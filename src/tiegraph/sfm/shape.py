@@ -15,7 +15,6 @@ from tiegraph.sfm.adjustment.jacobians import frame_pose
 from tiegraph.sfm.covariance import PositionSigma
 
 SHAPE = "shape.npz"  # of the largest model, in the folder of models
-_STEPS = 2  # rows for each doubling of the distance
 _MODES = 60  # at most: the rest is noise from frame to frame
 _EXPLAINED = 0.99999  # share of the variance in the modes: positions of 2 cm bend a corridor known to metres
 
@@ -120,7 +119,7 @@ class Shape:
         variance += squareform(own[:, None] + own[None, :], checks=False)
         apart = pdist(self.place)
         there = apart > 0
-        step = np.round(_STEPS * np.log2(apart[there])).astype(int)
+        step = np.round(2 * np.log2(apart[there])).astype(int)  # rows for each doubling of the distance
         apart, variance = apart[there], variance[there]
         return [
             (float(np.median(apart[of])), float(np.sqrt(variance[of].mean())), int(of.sum()))

@@ -38,7 +38,6 @@ from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines count as zero
-_SAMPLE = 300  # images whose rotations are tried: bounds the time
 _NAMED = 3  # images named in a sentence
 
 
@@ -99,7 +98,7 @@ def _by_matches(cost: Cost, cap_rad: float, tuning: ScaleTuning) -> float | None
         costs = np.array([cost(float(np.exp(x)), cap_rad) for x in grid])
         best = float(grid[np.argmin(costs)])
         step = float(grid[1] - grid[0])
-        grid = np.linspace(best - step, best + step, tuning.fine_grid)
+        grid = np.linspace(best - step, best + step, 21)  # scales tried around the best of them
     lowest = float(costs.min())
     beside = min(cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
     return float(np.exp(best)) if beside - lowest > tuning.dip * max(lowest, 1e-9) else None
@@ -265,7 +264,7 @@ def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: Start
     if len(rows) < tuning.least:
         return StartCheck(both=both, turned_deg=turned, off=off, bad=np.zeros(len(given), bool))
     between = made[rows, :3, :3] @ np.swapaxes(given[rows, :3, :3], 1, 2)
-    tried = between[:: max(1, len(rows) // _SAMPLE)]
+    tried = between[:: max(1, len(rows) // 300)]  # images whose rotations are tried: bounds the time
     votes = [int(np.sum(angle_deg(between, one) <= tuning.turn_deg)) for one in tried]
     first = angle_deg(between, tried[int(np.argmax(votes))]) <= tuning.turn_deg
     turned[rows] = angle_deg(between, l1_mean_rotation(between[first]))

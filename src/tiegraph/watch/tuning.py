@@ -64,5 +64,3 @@ class Tuning(Section):
     neighbours: int = Field(2, gt=0)
     """Frames before and after, of the own camera and of those that look nearly the same way, that an image is matched
     with; photographs without order by their names."""
-    save_s: float = Field(10.0, ge=0)
-    """Between two writings of what is known."""

@@ -21,7 +21,6 @@ MAX_SIDE_PX = 100_000  # of an image in a rig file
 MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
 SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # range of the sigmas of lengths and angles
 _FISHEYE_LINES = 8  # of a fisheye image; those of a perspective one go to its corners and the middles of its sides
-_STEPS = 24  # along a line from the middle to the edge
 _EDGE = 0.95  # share of that line that is tested: calibrations may fold in the last corner pixels
 
 # --- keys and values --------------------------------------------------------------------------------------------------
@@ -253,7 +252,7 @@ def focal_fault(focal_px: float, width: int, fisheye: bool, tuning: CameraTuning
 def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> str:
     said = f"{camera.model.name} with the parameters {[float(f'{p:.6g}') for p in camera.params]}"
     limit = tuning.round_trip * max(camera.width, camera.height)
-    share = np.linspace(0, 1, _STEPS + 1)[1:, None]
+    share = np.linspace(0, 1, 25)[1:, None]  # along a line from the middle to the edge
     for end in _ends(camera, middle, fisheye, tuning):
         if np.linalg.norm(end - middle) < limit:  # the principal point is at that edge
             continue

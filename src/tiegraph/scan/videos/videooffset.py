@@ -29,7 +29,6 @@ from tiegraph.scene.images import Probe
 
 # Resolution of the search, not decisions:
 _PHASES = 4  # grids between two steps
-_NEAR_STEPS = 0.6  # about the best offset, where a parabola is fitted to the likelihood
 _BLOCKS = 8  # of time, of the jackknife
 _ROUNDS, _EXACT_PX = 5, 0.02  # of the reweighted least squares; residual below which flow is as good as exact
 CHANNELS = 4
@@ -165,7 +164,7 @@ def _peaks(pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) ->
     parabola about the best one tried."""
     count = int(np.ceil(12 * reach_s / pair.step_s))
     changes = pair.step_s / 12 * np.arange(-count, count + 1)  # offsets tried between two steps
-    near_s = _NEAR_STEPS * pair.step_s
+    near_s = 0.6 * pair.step_s  # about the best offset, where a parabola is fitted to the likelihood
     begin, end = pair.shared(rough_s)
     at = np.arange(begin + reach_s, end - reach_s - pair.step_s, pair.step_s)
     block = np.arange(max(len(at) - 2, 0)) * _BLOCKS // max(len(at) - 2, 1)

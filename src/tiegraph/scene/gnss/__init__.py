@@ -44,7 +44,6 @@ _CRS = re.compile(r"(?i)EPSG:\d+(?:\+\d+)?$|\+(?:proj|init)=|WGS\s*84\s*UTM\s*\d
 _GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
 _SEA = re.compile("msl|asl|geoid|ortho|egm|navd|標高")  # in the name or unit of heights above the sea
 _TILT = ("pitch", "roll", "omega", "phi")  # any column with such a word
-_LEVEL_DEG = 20.0  # for a body tilted by more, yaw in a table of yaw, pitch and roll is no heading
 
 
 def read_columns(path: Path, raw: bytes) -> Gnss:
@@ -186,7 +185,7 @@ def _heading(table: Table, notes: list[str]) -> tuple[np.ndarray, dict[str, int 
     tilted = [k for k, c in enumerate(table.columns) if k != lat and set(c.split("_")) & set(_TILT)]
     if found is not None and tilted:
         most = max(float(np.nanmax(np.abs((table.angles(k) + 180) % 360 - 180), initial=0)) for k in tilted)
-        if most > _LEVEL_DEG:
+        if most > 20.0:  # for a body tilted by more, yaw in a table of yaw, pitch and roll is no heading
             notes.append(
                 f"{table.path.name}: {', '.join(table.columns[k] for k in (found, *tilted))}: cameras tilted by up to "
                 f"{most:.0f} degrees: these angles are not used, the images give the attitudes"

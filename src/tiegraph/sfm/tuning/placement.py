@@ -86,8 +86,6 @@ class ScaleTuning(Section):
     """Factor by which a path may be too long or too short."""
     grid: int = Field(57, gt=2)
     """Scales tried over that range, evenly by their logarithm."""
-    fine_grid: int = Field(21, gt=2)
-    """Scales tried around the best of them."""
     near: float = Field(1.25, gt=1)
     """Ratio of two scales whose votes must differ for the scale to be determined; a path that is longer or shorter by
     more is mapped again."""

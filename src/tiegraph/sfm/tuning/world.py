@@ -66,8 +66,6 @@ class MarkTuning(Section):
     """Scale of the robust loss (soft L1) in intersecting rays; marks with smaller errors were made in these images."""
     min_for_copy: int = Field(3, gt=0)
     """Points with two marks or more that are needed to find the copies of the images in which the marks were made."""
-    points_for_copy: int = Field(20, gt=0)
-    """Number of points with most marks that are used."""
     min_to_refuse: int = Field(5, ge=4)
     """Control points that are needed to identify a wrong one by the other four."""
     free_for_copy: int = Field(10, gt=0)
@@ -92,8 +90,6 @@ class ScaleTuning(Section):
     """Largest relative sigma of the scale at which it is used."""
     long_share: float = Field(0.7, ge=0, lt=1)
     """Share of the longest baseline; longer ones determine the scale."""
-    depth_points: int = Field(20_000, gt=0)
-    """Approximate number of points whose distances are used."""
 
 
 class FitTuning(Section):
@@ -114,8 +110,6 @@ class FitTuning(Section):
     """Weak prior of the receiver's clock offset."""
     rounds: int = Field(6, gt=0)
     """Rounds of reweighting, at most, for each scale of the loss and for the choice of the inliers."""
-    converged: float = Field(1e-5, ge=0)
-    """Radians, metres, log scale: a smaller step ends the rounds."""
 
 
 class SourceTuning(Section):
@@ -141,8 +135,6 @@ class SimilarityFitTuning(Section):
     that are needed to check it."""
     rounds: int = Field(2, gt=0)
     """Rounds of placing: the second has the true scale for frames known through another camera than the first."""
-    noise_rounds: int = Field(3, ge=0)
-    """Rounds in which sigmas follow the residuals."""
     tilt_share: float = Field(0.5, gt=0)
     """Share of the sigma of a ring's upward direction: above it, as a sigma of the tilt, that direction is used."""
     many_points: int = Field(8, gt=0)

@@ -18,7 +18,6 @@ from tiegraph.sfm.world.positionerrors import PositionErrors, Stated
 
 ANTENNA, CLOCK = "antenna", "clock"
 _COLUMNS = ("frame", "pose", "speed", "position", "sigma", "orientation", "modes")
-_STEPS = 3  # of linearising about the errors of the positions
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
@@ -159,7 +158,7 @@ def by_errors(
     fit, sizes = replace(fit, antenna=evidence.antenna, offset_s=0.0), None
     believed = dict.fromkeys((7, 8, 9), tuning.fit.antenna_sigma_m) if ANTENNA in evidence.free else {}
     believed |= {7 + len(believed): tuning.fit.offset_sigma_s} if CLOCK in evidence.free else {}
-    for _ in range(_STEPS):
+    for _ in range(3):  # rounds of linearising about the errors of the positions
         problem = _Problem(evidence, up, fit.similarity, tuning.fit)
         x = problem.at(fit)
         places, known = _linearised(problem, x, fit.inlier, rows, done)
@@ -336,7 +335,7 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
         for _ in range(tuning.rounds):
             weight = 1 / np.sqrt(1 + (distance(x) / (scale * sigmas)) ** 2)
             before, x = x, problem.solve(x, weight).x
-            if np.abs(x - before).max() < tuning.converged:
+            if np.abs(x - before).max() < 1e-5:  # radians, metres, log scale: a smaller step ends the rounds
                 break
     inlier = distance(x) < sigmas * np.sqrt(3)
     for _ in range(tuning.rounds):

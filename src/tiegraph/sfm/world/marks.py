@@ -94,7 +94,7 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
         f"{outside} marks are outside their images and are left out: in no reduced or turned copy of the images do "
         "their rays meet"
     )
-    often = np.argsort(-np.bincount(own.point), kind="stable")[: tuning.points_for_copy]
+    often = np.argsort(-np.bincount(own.point), kind="stable")[:20]  # number of points with most marks that are used
     own, views = own.where(np.isin(own.point, often)), _views(model, scene, own)
     if _miss_px(views, scene, own, AS_IS, tuning) <= tuning.soft_px:
         unsure = _miss_px(views, scene, own, Copy(0.5), tuning) <= tuning.soft_px

@@ -65,7 +65,7 @@ def rig_scale(
         return None
     longest, length = np.array(lengths) > tuning.long_share * max(lengths), max(lengths)
     scale = float(np.median(np.array(ratios)[longest]))
-    depth = scale * _median_depth(model, tuning.depth_points)
+    depth = scale * _median_depth(model, 20_000)  # approximate number of points whose distances are used
     sigma = float(np.hypot(np.median(np.array(sigmas)[longest]), tuning.angle_sigma_rad * depth)) / length
     why = ""
     if not given:

@@ -26,7 +26,7 @@ def believed(
     """The evidence with the sigmas of the fixes, its first rows, scaled to their residuals; and its fit."""
     used, count = up_to_use(evidence, up, tuning, near)[0], len(fixes)
     fit = fit_similarity(evidence, used, tuning.fit, near)
-    for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
+    for _ in range(3 if count else 0):  # rounds in which sigmas follow the residuals
         factor = factors(fit.residuals(evidence)[:count] / fixes.sigma, fixes.level, fixes.time_s, tuning.noise)
         evidence = replace(evidence, sigma=np.concatenate([fixes.sigma * factor[:, None], evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, fit.similarity)
