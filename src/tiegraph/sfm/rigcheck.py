@@ -12,7 +12,7 @@ from tiegraph.scene.colmapmodel import image_poses, observations
 from tiegraph.scene.evidence import Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment, take_poses
+from tiegraph.sfm.adjustment.adjust import adjusted_to, final_adjustment, take_poses, thinned
 from tiegraph.sfm.adjustment.constraints import PoseConstraints, rig_priors
 from tiegraph.sfm.model import Findings
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, let_go
@@ -152,13 +152,14 @@ def _with_times(
     # Lens errors of a calibrated rig must not be absorbed by its times.
     measured = held.modes.get(index) in ("fixed", "soft")
     doubted = held.cameras if measured and not held.lenses_ordered else ()
+    # The first rounds, with a wide tolerance, use few points: they only bring the times near.
     model, last, wide, near = out.model, test, tuning.rig.late_wide, False
     late = {k: (0.0, 0.0) for k in test.times_alone_s()}
-    steps = late
+    steps, few = late, thinned(mapped, tuning.adjust.few_points)
     for _ in range(tuning.rig.late_rounds):
         late = {k: (late[k][0] + last.system.damped * step, sigma) for k, (step, sigma) in steps.items()}
         seconds = {first + k: time for k, (time, _) in late.items()}
-        start = pycolmap.Reconstruction(mapped)
+        start = pycolmap.Reconstruction(mapped if wide == 1 else few)
         take_poses(start, model)
         motion = Motion(model, scene, tuning.shutter.max_gap_s)
         start = at_one_instant(start, model, motion, Lateness(seconds))
