@@ -27,10 +27,10 @@ def test_every_number_of_the_constants_is_found_by_its_place():
     "place, value, factor, new",
     [
         ("filter.matches_a_pair", 150, 4 / 3, 200),
-        ("filter.prior.steps", 2, 4 / 3, 3),  # rounding would leave it as it is
+        ("filter.loops.neighbour_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
         ("filter.prior.margin", 2.0, 2 / 3, 4 / 3),
         ("filter.prior.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
-        ("filter.prior.min_share", 0.9, 4 / 3, None),  # no share above 1
+        ("filter.loops.as_good", 0.9, 4 / 3, None),  # no share above 1
     ],
 )
 def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, factor, new):

@@ -1,4 +1,4 @@
-"""A rig that drives along a street of points: key points and true matches."""
+"""A rig that drives along a street of points: key points, true matches, and the false ones of a repeated wall."""
 
 from __future__ import annotations
 
@@ -35,14 +35,18 @@ class World:
     scene: Scene
     points: list[np.ndarray]
     matches: dict[tuple[int, int], np.ndarray]
+    false: set[tuple[int, int]]
 
-    def run(self, folder: Path, prior: Prior | None = None, **settings) -> Filtering:
-        """Filter the pairs of this world."""
+    def run(
+        self, folder: Path, scene: Scene | None = None, prior: Prior | None = None, **settings
+    ) -> tuple[Filtering, np.ndarray]:
+        """Filter with another rig than the true one, perhaps; (result, false pairs (P,) bool)."""
         database = folder / "database.db"
         self.write(database)
         ends = np.array(sorted(self.matches))
         pairs = Pairs.make(ends[:, 0], ends[:, 1], "sequence")
-        return filter_pairs(database, self.scene, pairs, FilterSettings(**settings), Tuning(), serial, prior)
+        result = filter_pairs(database, scene or self.scene, pairs, FilterSettings(**settings), Tuning(), serial, prior)
+        return result, np.array([(int(i), int(j)) in self.false for i, j in zip(pairs.i, pairs.j)])
 
     def write(self, path: Path) -> None:
         """The two tables that filter reads."""
@@ -104,4 +108,37 @@ def world(frames: int = 5, sensors: int = 4, radius_m: float = 0.06, seed: int =
                 wrong = rng.random(len(both)) < 0.1
                 b = np.where(wrong, rng.permutation(b), b)
                 matches[i, j] = np.column_stack([a, b])
-    return World(scene, points, matches)
+    return World(scene, points, matches, set())
+
+
+def add_repeats(made: World, share: float = 0.35, seed: int = 1) -> World:
+    """Give frame pairs 2 and more apart false pairs: matches of one consistent, wrong motion each, new key points."""
+    rng = np.random.default_rng(seed)
+    scene = made.scene
+    for i in range(len(scene)):
+        for j in range(i + 1, len(scene)):
+            apart = scene.frame[j] - scene.frame[i]
+            if apart < 2 or scene.sensor[i] == scene.sensor[j] or (i, j) in made.matches or rng.random() > share:
+                continue
+            turn = Rotation.from_rotvec(rng.normal(size=3) * 0.15).as_matrix()
+            x = np.column_stack([rng.uniform(-3, 3, 60), rng.uniform(-2, 2, 60), rng.uniform(5, 8, 60)])
+            y = x @ turn.T + rng.normal(size=3) * 0.6
+            start_i, start_j = len(made.points[i]), len(made.points[j])
+            for k, local in ((i, x), (j, y)):
+                pixel = local[:, :2] / local[:, 2:] * 310 + [320, 240] + rng.normal(0, NOISE_PX, (60, 2))
+                made.points[k] = np.concatenate([made.points[k], pixel])
+            made.matches[i, j] = np.column_stack([start_i + np.arange(60), start_j + np.arange(60)])
+            made.false.add((i, j))
+    return made
+
+
+def turned(scene: Scene, degrees: float, seed: int = 3) -> Scene:
+    """The scene with every camera but the first turned by so much about a random axis."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for k, s in enumerate(scene.rigs[0].sensors):
+        axis = rng.normal(size=3)
+        vector = np.radians(degrees) * axis / np.linalg.norm(axis) * (k > 0)
+        turn = transforms.rigid(Rotation.from_rotvec(vector).as_matrix(), np.zeros(3))
+        out.append(replace(s, sensor_from_rig=turn @ s.sensor_from_rig))
+    return scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(out)),))

@@ -1,18 +1,19 @@
-"""View-graph filtering by a rough model, on rigs of known motions; what the mapper gets to see."""
+"""View-graph filtering on rigs of known motions with false pairs, and by a rough model; what the mapper gets to see."""
 
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
 import pytest
+from filter_world import add_repeats, rig_from_world, serial, turned, world
 from filter_world import rig as ring_of
-from filter_world import rig_from_world, serial, world
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.filter.filter import Prior, filter_pairs, off_course_deg
+from tiegraph.filter.filter import Prior, filter_pairs, held_by_rig, off_course_deg
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms
@@ -23,19 +24,68 @@ from tiegraph.sfm.run import write_working_copy
 from tiegraph.sfm.verified import ViewGraph
 
 
-def along_the_way(frames: int) -> Prior:
-    """A coarse model of one camera that is right."""
-    return Prior(np.stack([rig_from_world(f) for f in range(frames)]), np.tile([3.0, 30.0], (frames, 1)))
+@pytest.fixture(scope="module")
+def repeated():
+    return add_repeats(world())
 
 
-def test_off_and_no_model_keep_all_and_a_missing_database_is_named(tmp_path):
-    made = world(frames=4, sensors=1)
-    for prior, settings in ((None, {}), (along_the_way(4), {"method": "off"})):
-        result = made.run(tmp_path, prior=prior, **settings)
-        assert np.all(result.pairs.dropped == 0) and result.notes == ("no pair was tested",)
-    pairs = Pairs.make(np.array([0]), np.array([3]), "sequence")
+def _shares(result, false):
+    kept = result.pairs.dropped == 0
+    return kept[~false].mean(), kept[false].mean()
+
+
+@pytest.mark.slow
+def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
+    result, false = repeated.run(tmp_path)
+    true_kept, false_kept = _shares(result, false)
+    assert false.sum() > 10 and true_kept >= 0.99 and false_kept <= 0.05
+    assert result.counts["refused"] == np.sum(result.pairs.dropped > 0) > 0.9 * false.sum()
+
+
+def unknown(scene):
+    """The scene with a rig of which no places are known."""
+    rig = scene.rigs[0]
+    return scene.with_(rigs=(replace(rig, sensors=tuple(replace(s, sensor_from_rig=None) for s in rig.sensors)),))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["wide", "turned", "unknown"])
+def test_another_rig_loses_nothing(rig, repeated, tmp_path):
+    """An unknown one goes by loops of images."""
+    made = add_repeats(world(radius_m=1.0)) if rig == "wide" else repeated
+    scene = {"wide": made.scene, "turned": turned(made.scene, 2.0), "unknown": unknown(made.scene)}[rig]
+    true_kept, false_kept = _shares(*made.run(tmp_path, scene))
+    assert true_kept >= 0.99 and false_kept <= 0.1
+
+
+@pytest.mark.slow
+def test_wrong_focal_lengths_refuse_nothing_and_are_told_of(repeated, tmp_path):
+    rig = repeated.scene.rigs[0]
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[768, 768, 320, 240])
+    rig = replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors))
+    result, false = repeated.run(tmp_path, repeated.scene.with_(rigs=(rig,)))
+    assert "focal lengths, or the rig, are probably wrong" in result.notes[0]
+    assert _shares(result, false)[0] >= 0.97
+
+
+def test_lone_camera_in_loops(tmp_path):
+    result, false = world(frames=7, sensors=1).run(tmp_path)
+    assert not false.any() and (result.pairs.dropped == 0).mean() >= 0.99
+
+
+def test_off_keeps_all_and_a_missing_database_is_named(repeated, tmp_path):
+    result, _ = repeated.run(tmp_path, method="off")
+    assert np.all(result.pairs.dropped == 0)
+    pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
     with pytest.raises(InputError, match="nowhere.db"):
-        filter_pairs(tmp_path / "nowhere.db", made.scene, pairs, FilterSettings(), Tuning(), serial, along_the_way(4))
+        filter_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), Tuning(), serial)
+
+
+@pytest.mark.slow
+def test_same_input_same_result(tmp_path):
+    made = add_repeats(world(frames=4, sensors=3))
+    a, b = (made.run(tmp_path)[0] for _ in range(2))
+    assert np.array_equal(a.pairs.dropped, b.pairs.dropped)
 
 
 def test_refused_pairs_are_left_out(tmp_path):
@@ -92,16 +142,27 @@ def test_a_repeated_wall_is_off_course_though_on_its_epipolar_line(shift_m: floa
     assert np.degrees(np.arcsin(sine)).max() < 0.1
 
 
+def rig_poses(blind: list[int], frames: int = 5) -> tuple:
+    """A scene of a rig of four, its prior at the true extrinsics with the reach of images ``blind`` unknown."""
+    scene = world(frames=frames).scene
+    poses = []
+    for f, s in zip(scene.frame, scene.sensor):
+        turn = Rotation.from_euler("y", 180 * (f == frames - 1), degrees=True).as_matrix()
+        body = transforms.rigid(turn, np.array([1.5 * f, 0.0, 0.0]))
+        poses.append(scene.rigs[0].sensors[s].sensor_from_rig @ transforms.invert(body))
+    reach = np.tile([4.0, 20.0], (len(scene), 1))
+    reach[blind] = np.nan
+    return scene, Prior(np.stack(poses), reach)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong_deg", [0.0, 40.0])
 def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_for_it(tmp_path, wrong_deg) -> None:
     """Of one of seneca's photographs all six pairs went, of up to 7000 matches each: its coarse place was wrong."""
     made = world(frames=14, sensors=1, cloud=800)
-    prior = along_the_way(14)
-    prior.cam_from_world[6, :3] = (
-        Rotation.from_euler("y", wrong_deg, degrees=True).as_matrix() @ prior.cam_from_world[6, :3]
-    )
-    result = made.run(tmp_path, prior=prior)
+    poses = np.stack([rig_from_world(f) for f in range(14)])
+    poses[6, :3] = Rotation.from_euler("y", wrong_deg, degrees=True).as_matrix() @ poses[6, :3]
+    result, _ = made.run(tmp_path, prior=Prior(poses, np.tile([3.0, 30.0], (14, 1))))
     assert result.counts["pairs"] > 10 and result.counts["refused"] == 0
     assert ("it has 1 images at a wrong place" in result.notes[0]) == (wrong_deg > 0)
 
@@ -110,10 +171,39 @@ def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_f
 def test_parts_that_a_model_has_put_together_wrongly_are_not_parted_for_it(tmp_path) -> None:
     """The previews of a sea floor joined two stretches of it wrongly, and all six pairs between them went."""
     made = world(frames=20, sensors=1, cloud=800)
-    prior = along_the_way(20)
+    poses = np.stack([rig_from_world(f) for f in range(20)])
     elsewhere = transforms.rigid(Rotation.from_euler("y", 40, degrees=True).as_matrix(), np.array([3.0, 0, 2.0]))
-    prior.cam_from_world[10:] = prior.cam_from_world[10:] @ elsewhere
-    result = made.run(tmp_path, prior=prior)
+    poses[10:] = poses[10:] @ elsewhere
+    result, _ = made.run(tmp_path, prior=Prior(poses, np.tile([3.0, 30.0], (20, 1))))
     kept = result.pairs.kept()
     assert result.counts["refused"] == 0 and np.any((kept.i < 10) != (kept.j < 10))
     assert "are the only ties of parts of it" in result.notes[0]
+
+
+def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
+    """A mounting that is off counts as far as the images are turned."""
+    scene, _ = rig_poses([])
+    ahead, blind, *_, back = np.flatnonzero(scene.sensor == 2).tolist()
+    scene, prior = rig_poses([blind])
+    wide = held_by_rig(prior, scene, TUNING)
+    assert wide.known().all() and not prior.known()[blind]
+    assert wide.reach[blind].tolist() == [4.0 / TUNING.any_distance, 20.0 * TUNING.any_distance]
+    assert np.flatnonzero(wide.mount_deg).tolist() == [blind]
+    other, own = int(np.flatnonzero(scene.sensor == 0)[0]), TUNING.tolerance_deg
+    for ends, same, mounts in (
+        ((blind, ahead), True, 0), ((back, blind), True, 2), ((blind, other), False, 1), ((ahead, other), False, 0)
+    ):  # fmt: skip
+        assert wide.tolerance_deg(*ends, same, own) == pytest.approx(own + mounts * TUNING.mount_deg)
+    assert prior.tolerance_deg(ahead, back, True, own) == own
+
+
+@pytest.mark.slow
+def test_images_without_points_are_not_judged_if_their_sensor_or_frame_is_not_held() -> None:
+    scene, whole = rig_poses([])
+    assert held_by_rig(whole, scene, TUNING) is whole
+    third, frame = np.flatnonzero(scene.sensor == 2), np.flatnonzero(scene.frame == 1)
+    for blind in (third[:3], frame):
+        scene, prior = rig_poses(blind.tolist())
+        assert not held_by_rig(prior, scene, TUNING).known()[blind].any()
+    scene, none = rig_poses(list(range(len(scene))))
+    assert not held_by_rig(none, scene, TUNING).known().any()

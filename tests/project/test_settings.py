@@ -44,7 +44,7 @@ def test_every_preset_is_valid_and_changes_what_it_says():
         ({"masks": {"sorce": "none"}}, r"unknown setting 'masks.sorce': perhaps you meant 'source'"),
         ({"mask": {"source": "none"}}, r"unknown setting 'mask': perhaps you meant 'masks'"),
         ({"masks": {"difference": 999}}, r"masks.difference = 999.*254"),
-        ({"tuning": {"filter": {"prior": {"stops": 3}}}}, r"'tuning.filter.prior.stops': perhaps you meant 'steps'"),
+        ({"tuning": {"filter": {"loops": {"trails": 3}}}}, r"'tuning.filter.loops.trails': perhaps you meant 'trials'"),
         ({"tuning": {"filter": {"prior": {"margin": 0.5}}}}, r"tuning.filter.prior.margin = 0.5"),
         ({"tuning": {"fliter": {}}}, r"'tuning.fliter': perhaps you meant 'filter'"),
     ],
@@ -64,18 +64,18 @@ def test_about_seventy_settings_at_most():
 def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.filter.prior]\nsteps = 30\n")
-    project = open_project(tmp_path, out, settings={"tuning": {"filter": {"prior": {"margin": 3.0}}}})
+    (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.filter.loops]\ntrials = 300\n")
+    project = open_project(tmp_path, out, settings={"tuning": {"filter": {"loops": {"rounds": 4}}}})
     tuning = project.settings.tuning.filter
-    assert (tuning.matches_a_pair, tuning.prior.steps, tuning.prior.margin, tuning.prior.min_share) == (
+    assert (tuning.matches_a_pair, tuning.loops.trials, tuning.loops.rounds, tuning.loops.directions) == (
         9,
-        30,
-        3.0,
-        0.25,
+        300,
+        4,
+        200,
     )
     project.save()
     assert open_project(out=out).settings == project.settings
-    changed_values = {"filter": {"matches_a_pair": 9, "prior": {"steps": 30, "margin": 3.0}}}
+    changed_values = {"filter": {"matches_a_pair": 9, "loops": {"trials": 300, "rounds": 4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
     before, after = (stage_keys(STAGES, s, {"images": 1}, Stamps(out)) for s in (Settings(), project.settings))
     needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "products", "evaluate", "report"}

@@ -1,4 +1,4 @@
-"""A model from given poses: its rounds, path and gate; two surveys in one folder."""
+"""A model from given poses: its rounds, path and gate; a large survey mapped in blocks."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import BlocksTuning
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, refusal, run_mapper, write_working_copy
@@ -341,10 +343,23 @@ def test_too_few_common_images_say_nothing() -> None:
     assert text == "start model: 2 of its images are in the model, too few to test it"
 
 
+@pytest.fixture(scope="module")
+def known_blocks(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Scene, Path]:
+    model, scene = moving_world(frames=24, points=1500)
+    write_database(model, path := tmp_path_factory.mktemp("known") / "database.db")
+    return image_poses(model, scene), scene, path
+
+
+@pytest.fixture
+def world_blocks(known_blocks, tmp_path: Path) -> tuple[np.ndarray, Scene]:
+    true, scene, path = known_blocks
+    shutil.copy(path, tmp_path / "database.db")
+    return true, scene
+
+
 @pytest.mark.slow
-def test_a_working_copy_of_some_images_holds_nothing_else(tmp_path: Path) -> None:
-    model, scene = moving_world(frames=4, points=300)
-    write_database(model, tmp_path / "database.db")
+def test_a_working_copy_of_some_images_holds_nothing_else(world_blocks, tmp_path: Path) -> None:
+    _, scene = world_blocks
     some = np.flatnonzero(scene.frame < 3)
     write_working_copy(tmp_path / "database.db", tmp_path / "part.db", scene, {0: scene.rigs[0]}, None, (), some)
     with sqlite3.connect(tmp_path / "part.db") as copy:
@@ -353,6 +368,17 @@ def test_a_working_copy_of_some_images_holds_nothing_else(tmp_path: Path) -> Non
         frames = copy.execute("SELECT COUNT(*) FROM frames").fetchone()[0]
         ids = {k for (k,) in copy.execute("SELECT image_id FROM images")}
     assert names == {scene.names[k] for k in some} and frames == 3 and ends == ids
+
+
+@pytest.mark.slow
+def test_blocks_make_one_model(world_blocks, tmp_path: Path) -> None:
+    true, scene = world_blocks
+    shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18, unplaced=1))
+    result = run_sparse(tmp_path, scene, shared=shared, covariance_frames=0)
+    assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
+    assert any("mapped in 2 blocks" in n and "1 of 1 joins" in n for n in result.remarks.notes)
+    assert_reconstruction_near(result.load(), scene, true, m=0.006, deg=0.05)
+    assert not (tmp_path / "sparse" / ".run").exists()
 
 
 def _cut(folder: Path, scene: Scene, frame: int) -> None:
@@ -383,11 +409,9 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_two_surveys_in_one_folder_become_two_models(tmp_path: Path) -> None:
+def test_two_surveys_in_one_folder_become_two_models(world_blocks, tmp_path: Path) -> None:
     """The coarse model puts them side by side, but no verified pair ties them."""
-    model, scene = moving_world(frames=24, points=1500)
-    write_database(model, tmp_path / "database.db")
-    true = image_poses(model, scene)
+    true, scene = world_blocks
     _cut(tmp_path, scene, 18)
     result = run_sparse(tmp_path, scene, {"preview": true}, covariance_frames=0)
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]

@@ -5,6 +5,35 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
+class LoopTuning(Section):
+    """Rotations of pairs, their average, and what contradicts it (`loops.py`)."""
+
+    least_matches: int = Field(8, ge=5)
+    """Least matches of a pair for a rotation."""
+    trials: int = Field(500, gt=0)
+    """Trials of the RANSAC, at most: five of a share of 0.4 are met by 1 in 98."""
+    votes_a_pair: int = Field(100, gt=0)
+    """Matches of one pair that count in a vote: a wall full of windows counts once."""
+    directions: int = Field(200, gt=0)
+    """Samples of a translation under a given rotation."""
+    as_good: float = Field(0.65, ge=0, le=1)
+    """Share of the matches that a pair's own rotation explains: if the predicted one explains as many, it is equal."""
+    voters: int = Field(60, gt=0)
+    """Ties between two clusters that are used, the heaviest."""
+    rounds: int = Field(10, gt=0)
+    """Rounds of the robust least squares, at most."""
+    kernel_deg: float = Field(1.0, gt=0)
+    """Geman-McClure kernel of the robust least squares."""
+    noisy_deg: float = Field(10.0, gt=0)
+    """A tolerance wider than this decides nothing."""
+    sigmas: float = Field(5.0, gt=0)
+    """Tolerance of a true tie from the loops, in their median residual."""
+    neighbour_weight: float = Field(2.0, gt=0)
+    """Weight of ties between neighbours of a pass, over their support."""
+    neighbour_steps: int = Field(2, ge=0)
+    """Steps of a pass within which two frames are neighbours; only these measure how well loops close."""
+
+
 class PriorTuning(Section):
     """Matches against the coarse model (`filter.py`)."""
 
@@ -18,6 +47,12 @@ class PriorTuning(Section):
     min_share: float = Field(0.25, ge=0, le=1)
     """Share of a pair's matches that must agree with the model. On canal (chosen there) it keeps 99.1 % of the pairs
     most of whose matches are true and 4 of 217 of which hardly any is; on canal_demo 98.6 % and 0 of 4."""
+    min_seeing: float = Field(0.5, ge=0, le=1)
+    """Share of a sensor's images that see points, from which its place in the rig is the model's own."""
+    mount_deg: float = Field(1.5, ge=0)
+    """Possible error of a mounting without points: the up camera of canal_demo 1 to 1.5 by a wrong focal length."""
+    any_distance: float = Field(10.0, ge=1)
+    """Times nearer than the nearest point of the model, and farther than the farthest: any distance."""
     max_refused: float = Field(0.2, ge=0, le=1)
     """Share of the judged pairs: a model that contradicts more of them is wrong itself."""
     max_refused_image: float = Field(0.5, ge=0, le=1)
@@ -29,5 +64,7 @@ class Tuning(Section):
 
     matches_a_pair: int = Field(150, gt=0)
     """Matches of a pair that are used, spread over all: enough for a decision."""
+    loops: LoopTuning = Field(default_factory=LoopTuning)
+    """Votes and loops."""
     prior: PriorTuning = Field(default_factory=PriorTuning)
     """The coarse model as judge."""

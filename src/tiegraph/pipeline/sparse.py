@@ -1,4 +1,4 @@
-"""Glue of filter and sparse: matched pairs that contradict the coarse model are refused, the others mapped."""
+"""Glue of filter and sparse: matched pairs that contradict the coarse model or loops are refused, the others mapped."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -28,10 +28,12 @@ from tiegraph.sfm.start import check_start, start_told
 
 
 def filter(run: Run) -> Outcome:
-    """Pairs whose matches agree with the coarse model; the database of `match` stays unchanged."""
+    """Pairs whose matches agree with the coarse model or with loops; the database of `match` stays unchanged."""
+    done = [0]
 
     def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
-        run.reporter.total(len(items))
+        run.reporter.total(done[0] + len(items), done[0])
+        done[0] += len(items)
         return run.map(function, items, *args)
 
     scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.filter
@@ -39,7 +41,7 @@ def filter(run: Run) -> Outcome:
     known = trusted_poses(run.folder)
     prior = None if known is None else Prior(*known)
     found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, prior)
-    save_npz(run.path("filter.npz"), **found.pairs.to_npz())
+    save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided)
     return Outcome(found.counts, notes=found.notes, tables=found.tables)
 
 
@@ -61,6 +63,7 @@ def sparse(run: Run) -> Outcome:
         refused_pairs(run),
         apart=apart,
         preview=None if coarse is None else coarse[0],
+        run_map=run.map,
         on_progress=progress,
     )
     made = reconstruct(

@@ -12,10 +12,12 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
+from tiegraph.scene.blocks import in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, observations, read_model
 from tiegraph.scene.rig import calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.model import Findings, frame_poses
 from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
@@ -47,6 +49,7 @@ class Source:
     apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``mapper``)
     unsupported: tuple[int, ...] = ()  # keys of sensors whose pairs are refused: the rig places them as given
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in an accepted rough model
+    run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images
 
 
@@ -131,10 +134,11 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 def map_images(job: Job, label: str = "") -> Outcome:
     """Start from the coarse model unless a certain mapper is requested. Without a coarse model, or if the result
-    fails the acceptance test, run a mapper.
+    fails the acceptance test, run a mapper; a large survey is mapped in blocks.
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
+    whole = in_one_piece(job.scene, job.shared.blocks)
     asked, notes = job.settings.mapper == "auto" and not label, job.account.notes
     if asked and job.source.preview is not None:
         outcome = _run(job, "preview", label)
@@ -143,6 +147,16 @@ def map_images(job: Job, label: str = "") -> Outcome:
         notes.append(
             f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
             "initial poses"
+        )
+    if asked and not whole and not job.source.rough:
+        request = _request(job, choose_mapper(job))
+        cam_from_world, said = poses_by_blocks(request, job.graph, job.shared, job.log, job.source.run_map)
+        notes.append(said)
+        outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
+        if outcome.folders:
+            return _with_others(job, outcome)
+        notes.append(
+            f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
         )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
     # A rough model and one without the rig are intermediate steps; the images they leave out are dealt with in the
