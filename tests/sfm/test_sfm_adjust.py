@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
+from road_worlds import moving_world
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, seen_anew
 
@@ -21,6 +22,7 @@ from tiegraph.sfm.adjustment.adjust import (
     final_adjustment,
     points_that_can_wait,
     take_poses,
+    take_possible,
     thinned,
 )
 from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning, Tuning
@@ -58,6 +60,22 @@ def test_what_one_shot_alone_saw_goes_unless_a_frame_has_little_else(tmp_path: P
     before = sorted(model.point3D_ids())
     assert _momentary(model) == before and drop_momentary(model, TUNING.enough_seen) == 0
     assert np.array_equal(sorted(model.point3D_ids()), before)
+
+
+@pytest.mark.parametrize(("focal_px", "kept"), [(158120.0, [3]), (-1.0, [3]), (None, [])])
+def test_a_lens_that_ran_off_and_that_nothing_determines_is_as_given(focal_px: float | None, kept: list[int]) -> None:
+    model, scene = moving_world(frames=14)
+    given = {k: pycolmap.Camera(model.camera(k).todict()) for k in (1, 2, 3)}
+    images = [k for k in model.reg_image_ids() if model.image(k).camera_id == 3]
+    for k in images:
+        for row in model.image(k).get_observation_point2D_idxs()[TUNING.min_points - 1 :]:
+            model.delete_observation(k, row)
+    if focal_px is not None:
+        model.camera(3).focal_length = model.camera(2).focal_length = focal_px  # the second has points enough
+    assert take_possible(model, given, TUNING) == kept
+    assert model.camera(3).params.tolist() == given[3].params.tolist()
+    assert all((model.image(k).num_points3D == 0) == bool(kept) for k in images)
+    assert all(p.track.length() >= 2 for p in model.points3D.values())
 
 
 def test_a_large_adjustment_gives_the_same_bits_each_time(tmp_path: Path) -> None:

@@ -305,3 +305,32 @@ def _written(model: pycolmap.Reconstruction, folder: Path) -> Path:
     folder.mkdir()
     model.write(folder)
     return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("right", "doubt"), [("preview", True), ("global", True), ("preview", False)])
+def test_a_start_that_contradicts_pairs_is_kept_where_it_explains_more_than_a_mapper(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: str, doubt: bool
+) -> None:
+    """Repeats among the verified pairs contradict the right model too: a dimmed canal failed the test by 79 of 765."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=8)
+    wrong = pycolmap.Reconstruction(truth)
+    for frame_id in range(1, 5):
+        pose = wrong.frame(frame_id).rig_from_world
+        wrong.frame(frame_id).rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + [0.5, 0.2, 0.4])
+    made = {name: _written(truth if name == right else wrong, tmp_path / name) for name in ("preview", "global")}
+
+    def run(job: mapping.Job, mapper: str, label: str) -> mapping.Outcome:
+        why = "it contradicts 79 of 765 verified pairs of images" if doubt and mapper == "preview" else ""
+        return mapping.Outcome(mapper, [made[mapper]], len(scene), refused=why)
+
+    monkeypatch.setattr(mapping, "_run", run)
+    monkeypatch.setattr(mapping, "_mapped", lambda job, label: run(job, "global", label))
+    monkeypatch.setattr(mapping, "_with_others", lambda job, outcome: outcome)
+    monkeypatch.setattr(mapping, "in_one_piece", lambda scene, tuning: True)
+    job = _job(scene)
+    job = replace(job, source=replace(job.source, database=tmp_path / "database.db", preview=np.eye(4)))
+    job = replace(job, graph=SimpleNamespace(components=[len(scene)]), shared=SimpleNamespace(blocks=None))
+    assert mapping.map_images(job).mapper == right
+    assert any("could not start" in note for note in job.account.notes) == doubt
+    assert any(f"the {right} model is kept" in note for note in job.account.notes) == doubt

@@ -22,7 +22,13 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import lens
-from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost, without_outliers
+from tiegraph.sfm.adjustment.adjust import (
+    final_adjustment,
+    free_cameras,
+    robust_cost,
+    take_possible,
+    without_outliers,
+)
 from tiegraph.sfm.adjustment.constraints import nominal_geometry
 from tiegraph.sfm.adjustment.jacobians import Layout, of_time
 from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
@@ -79,6 +85,11 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
         out.tables["given values and images compared"] = statement_table(checked.statements)
     if request.held.unsupported:
         place_as_given(checked.model, scene, request.held.unsupported, tuning)
+    given = {k: s.camera for k, s in enumerate(scene.all_sensors, start=1) if s.camera is not None}
+    out.notes += [
+        f"{scene.all_sensors[k - 1].name} keeps its intrinsics, given or guessed: its points do not determine them"
+        for k in take_possible(checked.model, given, tuning.adjust)
+    ]
     model = checked.model
     if checked.late:
         motion = Motion(model, scene, tuning.shutter.max_gap_s)

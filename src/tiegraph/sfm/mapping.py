@@ -96,7 +96,7 @@ class Outcome:
     mapper: str
     folders: list[Path]
     registered: int  # images of the first model that see its points
-    refused: str = ""  # why there is no model
+    refused: str = ""  # why there is no model, or why it is in doubt
     died: bool = False  # there is no model because its process ended
 
 
@@ -134,15 +134,17 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 def map_images(job: Job, label: str = "") -> Outcome:
     """Start from the coarse model unless a certain mapper is requested. Without a coarse model, or if the result
-    fails the acceptance test, run a mapper; a large survey is mapped in blocks.
+    fails the acceptance test, run a mapper; a large survey is mapped in blocks. Where repeats are among the verified
+    pairs, any right model contradicts them: of a start that fails for that and the mapper's model the one that
+    explains more matches is kept.
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
     whole = in_one_piece(job.scene, job.shared.blocks)
-    asked, notes = job.settings.mapper == "auto" and not label, job.account.notes
+    asked, notes, doubted = job.settings.mapper == "auto" and not label, job.account.notes, None
     if asked and job.source.preview is not None:
-        outcome = _run(job, "preview", label)
-        if outcome.folders:
+        outcome = doubted = _run(job, "preview", label)
+        if not outcome.refused and outcome.folders:
             return _with_others(job, outcome)
         notes.append(
             f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
@@ -153,12 +155,14 @@ def map_images(job: Job, label: str = "") -> Outcome:
         cam_from_world, said = poses_by_blocks(request, job.graph, job.shared, job.log, job.source.run_map)
         notes.append(said)
         outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
-        if outcome.folders:
+        if not outcome.refused and outcome.folders:
             return _with_others(job, outcome)
         notes.append(
             f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
         )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
+    if doubted is not None and doubted.folders:
+        outcome = _clearer(job, outcome, doubted)
     # A rough model and one without the rig are intermediate steps; the images they leave out are dealt with in the
     # end.
     return outcome if label or job.source.rough else _with_others(job, outcome)
@@ -185,7 +189,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     if length is None or not np.isfinite(length[0]) or 1 / most < length[0] < most:
         return outcome
     again = _run(_starting_at(job, poses), "preview", "with the path scaled to the rig")
-    if again.registered < tuning.mapping.clearly_fewer * outcome.registered:
+    if again.refused or again.registered < tuning.mapping.clearly_fewer * outcome.registered:
         job.account.notes.append(
             f"the path of the model should be {length[0]:.3g} times as long to agree with its rig, by {length[1]}; "
             f"with that length fewer images could be placed ({again.registered} of {outcome.registered}), so it was "
@@ -242,14 +246,7 @@ def _mapped(job: Job, label: str) -> Outcome:
         if not (both and other) and (not few or (rough and other)):  # a rough model needs no slow mapper
             continue
         second = _run(job, mapper, label, seed)
-        share = [_explained(job, one) for one in (outcome, second)]
-        kept = second if share[1] > share[0] else outcome
-        job.account.notes.append(
-            f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images and "
-            f"explains {100 * share[0]:.0f} % of the matches, {mapper} mapping {second.registered} and "
-            f"{100 * share[1]:.0f} %: the {kept.mapper} model is kept"
-        )
-        outcome = kept
+        outcome = _clearer(job, outcome, second, label)
     if not outcome.folders:
         why = outcome.refused or "the mapper found no two images to start from, or its models fell apart"
         error = ChildDied if outcome.died else ReconstructionError
@@ -258,6 +255,18 @@ def _mapped(job: Job, label: str) -> Outcome:
         text = f"{first} mapping was requested, but its process ended: {outcome.mapper} mapping made the model"
         job.account.contradictions.append(text)
     return outcome
+
+
+def _clearer(job: Job, first: Outcome, second: Outcome, label: str = "") -> Outcome:
+    """Of two outcomes the one whose first model explains more matches, the first of equals, with a remark."""
+    share = [_explained(job, one) for one in (first, second)]
+    kept = second if share[1] > share[0] else first
+    job.account.notes.append(
+        f"{first.mapper} mapping {label} placed {first.registered} of {job.graph.components[0]} connected images and "
+        f"explains {100 * share[0]:.0f} % of the matches, {second.mapper} mapping {second.registered} and "
+        f"{100 * share[1]:.0f} %: the {kept.mapper} model is kept"
+    )
+    return kept
 
 
 def _explained(job: Job, outcome: Outcome) -> float:

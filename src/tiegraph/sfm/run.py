@@ -78,7 +78,8 @@ class Request:
 
 @dataclass(frozen=True)
 class MappingResult:
-    """Folders of the models of one run, most registered images first; remarks; why there are none, if it is known."""
+    """Folders of the models of one run, most registered images first; remarks; why there are none, if it is known, or
+    why the model is in doubt."""
 
     folders: list[Path]
     notes: tuple[str, ...] = ()
@@ -137,7 +138,10 @@ def _from_poses(request: Request, working: Path, send: Callable[[Any], None]) ->
     model = model_from(working, request, start, verified, send)
     working.unlink()
     refused = refusal(model, scene, verified, piece, request.tuning)
-    return MappingResult([] if refused else [_written(model, request.folder / "0")], start.notes, refused)
+    if refused:
+        return MappingResult([], start.notes, refused)
+    doubted = contradicted(model, scene, verified, request.tuning)
+    return MappingResult([_written(model, request.folder / "0")], start.notes, doubted)
 
 
 def write_working_copy(
@@ -380,10 +384,16 @@ def refusal(
             f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} or more of its "
             "points"
         )
+    error = float(model.compute_mean_reprojection_error())
+    return f"its reprojection error is {error:.1f} px" if error > gate.max_error_px else ""
+
+
+def contradicted(model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: Tuning) -> str:
+    """How many verified pairs a model contradicts, if these are too many for it to be believed alone; else ""."""
+    gate = tuning.start.staged
     agreed = rays_meet(verified, image_observations(model, scene, tuning.placement.agreement))
     judged = agreed[:, 1] > 0
     good = agreed[judged, 0] >= tuning.placement.consistency.agrees * agreed[judged, 1]
     if not judged.any() or good.mean() < gate.min_agreeing:
         return f"it contradicts {np.sum(~good)} of {len(good)} verified pairs of images"
-    error = float(model.compute_mean_reprojection_error())
-    return f"its reprojection error is {error:.1f} px" if error > gate.max_error_px else ""
+    return ""

@@ -261,6 +261,21 @@ def impossible_camera(before: Cameras, after: Cameras, cameras: Collection[int],
     return None
 
 
+def take_possible(model: pycolmap.Reconstruction, given: Cameras, tuning: AdjustTuning) -> list[int]:
+    """Give the cameras that too few images support for an adjustment, and whose intrinsics ran off, the
+    ``given`` ones, and remove their observations, which those do not explain; returns their ids."""
+    out, asked = [], set(given) & set(model.cameras) - free_cameras(model, tuning)
+    while (key := impossible_camera(given, model.cameras, asked, tuning)) is not None:
+        model.camera(key).model, model.camera(key).params = given[key].model, given[key].params.tolist()
+        for image in [i for i in model.images.values() if i.camera_id == key]:
+            for row in image.get_observation_point2D_idxs():
+                if image.point2D(row).has_point3D():  # else the point went with its last but one observation
+                    model.delete_observation(image.image_id, row)
+        out.append(key)
+        asked.discard(key)
+    return out
+
+
 def thinned(model: pycolmap.Reconstruction, tuning: FewPointsTuning) -> pycolmap.Reconstruction:
     """A copy without the points that are not needed yet; the model itself where too few could be left out."""
     waiting = points_that_can_wait(model, tuning)
