@@ -23,6 +23,7 @@ def text(notebook: dict[str, Any]) -> str:
     return "".join("".join(o.get("text", ())) for cell in notebook["cells"] for o in cell.get("outputs", ()))
 
 
+@pytest.mark.usefixtures("children_are_functions")
 def test_the_notebooks_run_and_give_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runner = runpy.run_path(str(DOCS / "notebooks.py"))
     monkeypatch.chdir(tmp_path)
