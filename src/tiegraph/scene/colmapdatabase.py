@@ -92,7 +92,7 @@ class Rows:
         """(K, columns) f8 x, y, scale (pixels), orientation (radians) of an image; none if there are none."""
         query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
         row = self._connection.execute(query, (image,)).fetchone()
-        return _points(*row, columns) if row and row[0] else np.zeros((0, columns))
+        return _points(*row, wanted=columns) if row and row[0] else np.zeros((0, columns))
 
     def descriptors_of(self, image: int) -> np.ndarray:
         """(K, 128) u1 descriptors of an image; none if there are none."""
