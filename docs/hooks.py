@@ -1,11 +1,14 @@
-"""What the site has beside `docs/*.md` (a hook of mkdocs): DESIGN.md, CONTRIBUTING.md, a chapter for each package.
+"""What the site has beside `docs/*.md` (a hook of mkdocs): DESIGN.md, CONTRIBUTING.md, notebooks, a chapter for each
+package.
 
 A chapter is made of the docstrings of the package and of its modules, in which the reasons stand. They are read as
 text: nothing of the package is imported, and nothing is downloaded.
 """
 
 import ast
+import json
 from pathlib import Path
+from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -48,6 +51,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """The pages that lie elsewhere, or are made here."""
     for name, page in PAGES.items():
         files.append(File.generated(config, page, content=inside((ROOT / name).read_text())))
+    for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        content = shown(json.loads(path.read_text("utf-8")), path.name)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=content))
     for name in CHAPTERS:
         files.append(File.generated(config, f"reasons/{name}.md", content=chapter(name)))
     return files
@@ -78,3 +84,22 @@ def chapter(name: str) -> str:
         else:
             short.append(f"* `{module}`: {' '.join(said.split())}")
     return "\n".join([*parts, *(["## Other modules", "", *short] if short else []), ""])
+
+
+def shown(notebook: dict[str, Any], name: str) -> str:
+    """A notebook as a page: its text, its code and what that gave when `docs/notebooks.py` ran it."""
+    parts = []
+    for cell in notebook["cells"]:
+        source = "".join(cell["source"])
+        code = cell["cell_type"] == "code"
+        parts.append(f"```python\n{source}\n```" if code else source.replace(".ipynb)", ".md)"))
+        parts += [_output(output.get("data", {"text/plain": output.get("text")})) for output in cell.get("outputs", ())]
+    return "\n\n".join([*parts, f"Run it yourself: [{name}]({name}).", ""])
+
+
+def _output(data: dict[str, Any]) -> str:
+    if "image/jpeg" in data:
+        return f'<p><img alt="" src="data:image/jpeg;base64,{data["image/jpeg"]}"></p>'
+    if "text/html" in data:
+        return "<div>" + "".join(line.strip() for line in data["text/html"]) + "</div>"
+    return "```text\n" + "".join(data["text/plain"]).rstrip() + "\n```"

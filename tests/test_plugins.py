@@ -6,13 +6,19 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tiegraph
+from features_world import features, filled_database, scene
 from tiegraph.dense.engine import ENGINES
-from tiegraph.errors import EngineMissing, SettingsError
+from tiegraph.errors import EngineMissing, InputError, SettingsError
+from tiegraph.features.matchblocks import Rules, match_pairs
+from tiegraph.features.matchers import Features, matcher
+from tiegraph.features.settings import MatchSettings
 from tiegraph.pipeline.files import read_mask
 from tiegraph.plugins import chosen
+from tiegraph.scene.pairs import Pairs
 from worlds import make_survey
 
 if sys.version_info >= (3, 11):
@@ -83,3 +89,80 @@ def test_plugins_that_cannot_be_used_are_named(tmp_path: Path, monkeypatch: pyte
         chosen("dense", "deeper", ENGINES)
     with pytest.raises(SettingsError, match="valid are tsgm, sgbm; installed plug-ins: deep"):
         tiegraph.open(tmp_path, tmp_path, settings={"dense": {"engine": "deeper"}})
+
+
+@pytest.fixture
+def two() -> tuple[Features, Features]:
+    """Features of two images; the last of the second image that match are turned by 90 degrees."""
+    (_, points, of_a), (_, others, of_b) = features()[0], features()[2]
+    turned = others.copy()
+    turned[len(others) // 2 :, 3] = np.pi / 2
+    return Features(points, of_a, (640, 480)), Features(turned, of_b, (640, 480))
+
+
+def test_the_example_matcher_takes_features_that_are_turned_alike(
+    two: tuple[Features, Features], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(tmp_path, tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"])
+    for folder in (tmp_path, EXAMPLE):
+        monkeypatch.syspath_prepend(folder)
+    every = matcher(MatchSettings())(*two, "a", "b")
+    some = matcher(MatchSettings(engine="upright"))(*two, "a", "b")
+    assert 50 < len(some) < len(every) and some.dtype == np.uint32
+    assert some.tolist() == [row for row in every.tolist() if row[1] < len(two[1]) // 2]
+
+
+WRONG = {
+    "none": ("lambda a, b, s: None", r"gave an array of \(\) object"),
+    "flat": ("lambda a, b, s: np.arange(4)", r"gave an array of \(4,\) int\d+"),
+    "real": ("lambda a, b, s: np.zeros((3, 2))", r"gave an array of \(3, 2\) float64"),
+    "far": ("lambda a, b, s: np.array([[0, len(b)], [1, 2]])", r"gave rows from \[0 2\] to \[ *1 \d+\] of \d+ and"),
+    "below": ("lambda a, b, s: np.array([[0, -1]])", r"gave rows from \[ *0 -1\]"),
+    "twice": ("lambda a, b, s: np.array([[0, 1], [0, 2]])", "matched a feature twice"),
+    "fails": ("lambda a, b, s: 1 / 0", "raised ZeroDivisionError"),
+}
+
+
+def test_a_matcher_that_fails_is_named_with_the_pair_and_the_remedy(
+    two: tuple[Features, Features], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = "".join(f"{name} = {what}\n" for name, (what, _) in WRONG.items())
+    (tmp_path / "wrong_matchers.py").write_text(f"import numpy as np\n{code}")
+    groups = {"tiegraph.matchers": {n: f"wrong_matchers:{n}" for n in WRONG} | {"gone": "no_such_module:MATCH"}}
+    install(tmp_path, groups)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, (_, said) in WRONG.items():
+        what = f"match.engine = {name}: the plug-in {said}.* for x.jpg and y.jpg.*set match.engine to nearest"
+        with pytest.raises(InputError, match=what):
+            matcher(MatchSettings(engine=name))(*two, "x.jpg", "y.jpg")
+    with pytest.raises(EngineMissing, match="'gone' of the group tiegraph.matchers cannot be loaded"):
+        matcher(MatchSettings(engine="gone"))
+    with pytest.raises(ValueError, match="valid are nearest; installed plug-ins: below, .*tiegraph.matchers"):
+        MatchSettings(engine="elsewhere")
+    with pytest.raises(ValueError, match="guided matching is COLMAP's own"):
+        MatchSettings(engine="far", guided=True)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("children_are_functions")
+def test_the_rows_of_a_plugin_are_verified_and_its_faults_end_the_stage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.py").write_text(
+        "from tiegraph.features.matchers import by_nearest\ndef half(*given):\n    return by_nearest(*given)[::2]\n"
+        "def fails(*given):\n    raise ValueError('no weights')\n"
+    )
+    install(tmp_path, {"tiegraph.matchers": {"half": "own:half", "fails": "own:fails"}})
+    monkeypatch.syspath_prepend(tmp_path)
+    pairs = Pairs.make([0, 2], [2, 4], "file")
+
+    def matched(engine: str) -> np.ndarray:
+        database = filled_database(tmp_path / f"{engine}.db", scene())
+        rules = Rules(MatchSettings(engine=engine))
+        return match_pairs(database, scene(), pairs, rules, tmp_path / "log.txt")[0].inliers
+
+    every, half = matched("nearest"), matched("half")
+    assert ((0.4 * every < half) & (half < 0.6 * every)).all()
+    first, second = (scene().names[k] for k in (0, 2))
+    with pytest.raises(InputError, match=f"fails: the plug-in raised ValueError.*no weights.*{first} and {second}"):
+        matched("fails")

@@ -30,7 +30,7 @@ from tiegraph.errors import InputError
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.matchblocks import Rules, colmap_options
-from tiegraph.features.nearest import matches
+from tiegraph.features.matchers import Features, matcher
 from tiegraph.features.preview import PreviewMatch, extract_preview, guessed_camera, match_previews
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.sift import evened, extract_sift
@@ -66,24 +66,8 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
-    """SIFT of an image: keypoints (K, 4) f4 x, y, scale (pixels), orientation (radians); descriptors (K, 128) u1
-    root-SIFT; size (width, height)."""
-
-    keypoints: np.ndarray
-    descriptors: np.ndarray
-    size: tuple[int, int]
-
-    def __len__(self) -> int:
-        return len(self.keypoints)
-
-    def __repr__(self) -> str:
-        return f"Features({len(self)} of an image of {self.size[0]} x {self.size[1]} pixels)"
-
-
-@dataclass(frozen=True, eq=False)
 class Matches:
-    """What two images share: ``tentative`` (M, 2) u4 rows of the features of a and b that match by descriptor, and
+    """What two images share: ``tentative`` (M, 2) u4 rows of the features of a and b that match, and
     COLMAP's verified two-view ``geometry``."""
 
     tentative: np.ndarray
@@ -152,13 +136,15 @@ def match(
     settings: MatchSettings | None = None,
 ) -> Matches:
     """Matches of two images, verified by COLMAP: by an essential matrix if both ``cameras`` have a prior focal length,
-    which also gives the pose of b from a (``geometry.cam2_from_cam1``), else by a fundamental matrix or homography."""
-    matching, verification = colmap_options(Rules(settings or MatchSettings(), FeaturesTuning().verification))
+    which also gives the pose of b from a (``geometry.cam2_from_cam1``), else by a fundamental matrix or homography.
+    Raises InputError and EngineMissing for a plug-in of ``settings.engine`` that fails or is not there."""
+    settings = settings or MatchSettings()
+    _, verification = colmap_options(Rules(settings, FeaturesTuning().verification))
     verification.compute_relative_pose = cameras is not None
     one, two = cameras or [
         pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 1.2 * max(f.size), *f.size) for f in (a, b)
     ]
-    tentative = matches(a.descriptors, b.descriptors, matching.sift)
+    tentative = matcher(settings)(a, b, "a", "b")
     points = [f.keypoints[:, :2].astype(float) for f in (a, b)]
     return Matches(
         tentative, pycolmap.estimate_two_view_geometry(one, points[0], two, points[1], tentative, verification)

@@ -1,7 +1,7 @@
 """Plug-ins: methods of other packages, which they offer as entry points of the groups ``tiegraph.masks`` (a
-``MaskSource``), ``tiegraph.pairs`` (a pair source), ``tiegraph.features`` (an ``Extractor``), ``tiegraph.dense`` (a
-``DenseEngine``) and ``tiegraph.products`` (a function that writes files of a surface into a folder).
-A setting that chooses such a method takes their names beside its own. Package and version of
+``MaskSource``), ``tiegraph.pairs`` (a pair source), ``tiegraph.features`` (an ``Extractor``), ``tiegraph.matchers`` (a
+``Matcher``), ``tiegraph.dense`` (a ``DenseEngine``) and ``tiegraph.products`` (a function that writes files of a
+surface into a folder). A setting that chooses such a method takes their names beside its own. Package and version of
 what is chosen belong to the keys of the stages that use it: another version makes them run again.
 """
 

@@ -284,7 +284,7 @@ def test_rows_are_those_of_colmaps_exact_matcher(tmp_path, monkeypatch, without)
     block = np.array([(a, b) for a in range(12) for b in range(a + 1, 12)])
     if without:
         monkeypatch.setattr(nearest, "_nearest", None)
-    matchblocks._by_nearest(database, tmp_path / "ours.db", block, rules)
+    matchblocks._by_matcher(database, tmp_path / "ours.db", block, rules)
     monkeypatch.setattr(matchblocks, "colmap_options", exact)
     matchblocks._by_colmap(database, tmp_path / "colmap.db", block, rules)
     for table in ("matches", "two_view_geometries"):

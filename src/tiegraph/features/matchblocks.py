@@ -4,7 +4,8 @@ each process has one thread and, for each block, a small database of its own.
 The processes are children of this one, or of the workers of a cluster: those read the features while nobody writes,
 because a round of blocks is matched before the next is written, and only this process writes the matches of all.
 
-``nearest`` finds the matches and COLMAP verifies them; on a GPU, and for guided matching, COLMAP does both.
+``nearest`` or a plug-in (``matchers``) finds the matches and COLMAP verifies them; on a GPU, and for guided matching,
+COLMAP does both.
 COLMAP's own threads do not always find the same matches: those that build their search trees of descriptors at the same
 moment disturb each other now and then (`benchmarks/sfm/matching_threads.py` counts how often).
 """
@@ -23,7 +24,7 @@ import pycolmap
 
 from tiegraph.child import run_in_child, run_in_children
 from tiegraph.errors import ChildDied, InputError, ReconstructionError
-from tiegraph.features import nearest
+from tiegraph.features.matchers import MATCHERS, Features, matcher
 from tiegraph.features.settings import MatchSettings
 from tiegraph.features.tuning import VerificationTuning
 from tiegraph.gpu import device, on_gpu
@@ -126,11 +127,15 @@ def match_blocks(
 ) -> None:
     """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
     pycolmap.logging.minloglevel = 1
-    # Whether COLMAP finds the matches too: on a GPU, and along epipolar lines; else it verifies them
-    matched = _by_colmap if rules.settings.guided or on_gpu() else _by_nearest
+    matched = _by_colmap if colmap_matches(rules.settings) else _by_matcher
     for name, block in blocks:
         matched(Path(database), Path(name), block, rules)
         send((name, len(block)))
+
+
+def colmap_matches(settings: MatchSettings) -> bool:
+    """Whether COLMAP finds the matches too, on a GPU and along epipolar lines; else it verifies them."""
+    return settings.guided or (settings.engine in MATCHERS and on_gpu())
 
 
 def _by_colmap(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:
@@ -148,19 +153,27 @@ def _by_colmap(database: Path, target: Path, block: np.ndarray, rules: Rules) ->
     )
 
 
-def _by_nearest(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:
-    """Match a block (B, 2) by ``nearest`` and verify it by COLMAP, pair by pair, into a new database.
+def _by_matcher(database: Path, target: Path, block: np.ndarray, rules: Rules) -> None:
+    """Match a block (B, 2) by the chosen matcher and verify it by COLMAP, pair by pair, into a new database.
 
     Rows are as COLMAP writes them: a pair of too few matches has none, and is degenerate.
     """
-    matching, verification = colmap_options(rules)
+    _, verification = colmap_options(rules)
+    match = matcher(rules.settings)
     remove(target)
     with Rows(database) as rows, pycolmap.Database.open(target) as found:
-        cameras = rows.cameras()
-        points = {k: rows.keypoints_of(k) for k in (np.unique(block) + 1).tolist()}
-        descriptors = {k: rows.descriptors_of(k) for k in points}
+        cameras, names = rows.cameras(), rows.image_names()
+        features = {
+            k: Features(
+                rows.keypoints_of(k, 4).astype(np.float32),
+                rows.descriptors_of(k),
+                (cameras[k].width, cameras[k].height),
+            )
+            for k in (np.unique(block) + 1).tolist()
+        }
+        points = {k: f.keypoints[:, :2].astype(float) for k, f in features.items()}
         for a, b in (block + 1).tolist():
-            pairs = nearest.matches(descriptors[a], descriptors[b], matching.sift)
+            pairs = match(features[a], features[b], names[a], names[b])
             geometry = pycolmap.TwoViewGeometry()
             if len(pairs) < rules.settings.min_inliers:
                 pairs, geometry.config = pairs[:0], int(pycolmap.TwoViewGeometryConfiguration.DEGENERATE)

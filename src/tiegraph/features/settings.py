@@ -9,6 +9,7 @@ from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section, user_path
 
 EngineName = Literal["opencv", "onnx"]
+MatcherName = Literal["nearest"]
 
 
 class PreviewSettings(Section):
@@ -57,6 +58,8 @@ class FeaturesSettings(Section):
 class MatchSettings(Section):
     """Matching at full resolution and verification of the listed pairs."""
 
+    engine: Annotated[MatcherName | str, or_plugin("matchers", MatcherName)] = "nearest"
+    """nearest = mutual nearest descriptors; COLMAP verifies what is found."""
     max_ratio: float = Field(0.8, gt=0, le=1)
     """Most a match's distance may be of the second best one's (Lowe's ratio test)."""
     max_error_px: float = Field(4.0, gt=0, le=50)
@@ -67,3 +70,9 @@ class MatchSettings(Section):
     """Match again along the epipolar lines once a pair is verified: more matches, about twice the time."""
     stationary: bool = False
     """Remove matches at the same pixel in both images (the platform itself). Not for a platform that ever stops."""
+
+    @model_validator(mode="after")
+    def _guided_by_colmap(self) -> "MatchSettings":
+        if self.guided and self.engine != "nearest":
+            raise ValueError(f"guided matching is COLMAP's own: omit guided, or engine = {self.engine}")
+        return self

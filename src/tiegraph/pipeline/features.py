@@ -10,7 +10,7 @@ import numpy as np
 from tiegraph import papers
 from tiegraph.child import cores
 from tiegraph.features.learned import network
-from tiegraph.features.matchblocks import Rules, Side, match_pairs
+from tiegraph.features.matchblocks import Rules, Side, colmap_matches, match_pairs
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import FeaturesSettings, PreviewSettings
 from tiegraph.features.sift import extract_image
@@ -249,7 +249,7 @@ def match(run: Run) -> Outcome:
         if len(alone)
         else ()
     )
-    notes = (*lonely, *(("matched by COLMAP on a GPU",) if on_gpu() else ()))
+    notes = (*lonely, *(("matched by COLMAP on a GPU",) if on_gpu() and colmap_matches(run.settings.match) else ()))
     kinds = {"columns": ["two-view geometry", "pairs"], "rows": [[k, n] for k, n in report.configurations.items()]}
     counts = {n: getattr(report, n) for n in ("asked", "matched", "verified", "matches", "inliers")}
     return Outcome(counts, dropped=report.lost, notes=notes, tables={"two-view geometries": kinds})

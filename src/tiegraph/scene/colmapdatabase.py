@@ -88,11 +88,11 @@ class Rows:
         for image, *row in self._connection.execute("SELECT image_id, rows, cols, data FROM keypoints"):
             yield image, _points(*row)
 
-    def keypoints_of(self, image: int) -> np.ndarray:
-        """(K, 2) f8 key points of an image, pixels; none if there are none."""
+    def keypoints_of(self, image: int, columns: int = 2) -> np.ndarray:
+        """(K, columns) f8 x, y, scale (pixels), orientation (radians) of an image; none if there are none."""
         query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
         row = self._connection.execute(query, (image,)).fetchone()
-        return _points(*row) if row and row[0] else np.zeros((0, 2))
+        return _points(*row, wanted=columns) if row and row[0] else np.zeros((0, columns))
 
     def descriptors_of(self, image: int) -> np.ndarray:
         """(K, 128) u1 descriptors of an image; none if there are none."""
@@ -119,8 +119,8 @@ def _matches(rows: int, data: bytes) -> np.ndarray:
     return np.frombuffer(data, np.uint32).reshape(rows, 2).astype(np.int64)
 
 
-def _points(rows: int, columns: int, data: bytes | None) -> np.ndarray:
-    return np.frombuffer(data or b"", np.float32).reshape(rows, columns or 2)[:, :2].astype(float)
+def _points(rows: int, columns: int, data: bytes | None, wanted: int = 2) -> np.ndarray:
+    return np.frombuffer(data or b"", np.float32).reshape(rows, columns or 2)[:, :wanted].astype(float)
 
 
 def image_ids(path: Path, scene: Scene) -> dict[int, int]:
