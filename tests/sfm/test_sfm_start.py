@@ -23,7 +23,16 @@ from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, refusal, run_mapper, write_working_copy
+from tiegraph.sfm.run import (
+    MappingResult,
+    Method,
+    Request,
+    RigsUsed,
+    contradicted,
+    refusal,
+    run_mapper,
+    write_working_copy,
+)
 from tiegraph.sfm.start import StartCheck, check_start, length_of_path, rig_of_poses, start_from, start_told
 from tiegraph.sfm.tuning import StartCheckTuning, Tuning
 from tiegraph.sfm.tuning.placement import StagedTuning, StartTuning
@@ -225,7 +234,7 @@ def _spoiled(model: pycolmap.Reconstruction, how: str) -> pycolmap.Reconstructio
     ("how", "why"),
     [
         ("", ""),
-        ("moved", "it contradicts 56 of 96 verified pairs"),
+        ("moved", "its reprojection error is"),
         ("lens", "the adjusted intrinsics of camera cam1"),
         ("noise", "its reprojection error is 10.1 px"),
         ("bare", "only 9 of 18 tied images see 10 or more of its points"),
@@ -235,8 +244,12 @@ def test_the_gate_says_what_is_wrong_with_a_model(how: str, why: str, tmp_path: 
     model, scene = moving_world(frames=6)
     write_database(model, tmp_path / "database.db")
     verified = read_verified(tmp_path / "database.db", scene)
-    said = refusal(_spoiled(model, how), scene, verified, np.ones(len(scene), bool), Tuning())
+    spoiled = _spoiled(model, how)
+    said = refusal(spoiled, scene, verified, np.ones(len(scene), bool), Tuning())
     assert said.startswith(why) and bool(said) == bool(why)
+    doubt = contradicted(spoiled, scene, verified, Tuning())
+    assert doubt == ("it contradicts 56 of 96 verified pairs of images" if how == "moved" else doubt)
+    assert how or not doubt
 
 
 @pytest.mark.slow

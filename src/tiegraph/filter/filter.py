@@ -128,7 +128,7 @@ def filter_pairs(
     if prior is not None:
         asked, refused, notes = _by_prior(scene, kept, matches, prior, tuning.prior, run_map)
     others = np.flatnonzero(~asked)
-    by_rotation = by_loops(scene, kept.where(others), matches, settings, tuning.loops, run_map)
+    by_rotation = by_loops(scene, kept.where(others), matches, tuning.loops, run_map)
     forget()
     undecided = np.zeros(len(kept), bool)
     refused[others], undecided[others], said = by_rotation

@@ -27,7 +27,6 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import LoopTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import cross
@@ -226,11 +225,11 @@ def _reliable(units: int, ends: np.ndarray, agreeing: np.ndarray) -> np.ndarray:
 
 
 def by_loops(
-    scene: Scene, pairs: Pairs, matches: Matches, settings: FilterSettings, tuning: LoopTuning, run_map: Map
+    scene: Scene, pairs: Pairs, matches: Matches, tuning: LoopTuning, run_map: Map
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Judge pairs by loops of rotations: of each pair (P,) bool whether it is refused, or kept though it contradicts
     others and no loop decides; notes. ``run_map(function, items, *args)`` runs items anywhere."""
-    bound = settings.max_error_px / matches.focal_px()
+    bound = tuning.max_error_px / matches.focal_px()
     unit, turned = _units(scene)
     outside = np.flatnonzero(unit[pairs.i] != unit[pairs.j])
     i, j = pairs.i[outside].astype(int), pairs.j[outside].astype(int)
@@ -246,11 +245,11 @@ def by_loops(
     weight = np.minimum(support, tuning.votes_a_pair) * np.where(near, tuning.neighbour_weight, 1.0)
     used, ends = np.unique(np.stack([unit[i], unit[j]], axis=1), return_inverse=True)
     ends = ends.reshape(-1, 2)
-    averaged, residual_deg, reliable = average(len(used), ends, rotation, weight, settings.max_loop_deg, tuning)
+    averaged, residual_deg, reliable = average(len(used), ends, rotation, weight, tuning.max_deg, tuning)
     told = np.isfinite(residual_deg) & reliable
     basis = told & near if np.any(told & near) else told
     spread = float(np.median(residual_deg[basis])) if basis.any() else 0.0
-    tolerance = max(settings.max_loop_deg, tuning.sigmas * spread)
+    tolerance = max(tuning.max_deg, tuning.sigmas * spread)
     off = (weight > 0) & ~(residual_deg < tolerance)
     refused, undecided = (np.zeros(len(pairs), bool) for _ in range(2))
     undecided[outside] = off & ~reliable

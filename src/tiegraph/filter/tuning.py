@@ -8,6 +8,10 @@ from tiegraph.settings import Section
 class LoopTuning(Section):
     """Rotations of pairs, their average, and what contradicts it (`loops.py`)."""
 
+    max_error_px: float = Field(4.0, gt=0)
+    """Distance of a match from its epipolar line, pixels at the mean focal length, up to which it agrees."""
+    max_deg: float = Field(3.0, gt=0)
+    """Largest contradiction of a pair's rotation to that of all others; widened if loops close badly."""
     least_matches: int = Field(8, ge=5)
     """Least matches of a pair for a rotation."""
     trials: int = Field(500, gt=0)
