@@ -238,7 +238,7 @@ def _mapped(job: Job, label: str) -> Outcome:
     first = choose_mapper(job)
     auto, rough = job.settings.mapper == "auto", job.source.rough
     reachable, tuning = job.graph.components[0], job.tuning.mapping
-    enough = tuning.clearly_fewer * reachable if auto else 0
+    enough = (tuning.roughly_fewer if rough else tuning.clearly_fewer) * reachable if auto else 0
     both = auto and first == "incremental"
     outcome = _run(job, first, label)
     for mapper, seed in ((first, 1), (_OTHER[first], 0)):

@@ -16,6 +16,8 @@ class MappingTuning(Section):
     as fast (PYCOLMAP 4)."""
     clearly_fewer: float = Field(0.8, ge=0, le=1)
     """Share of the connected images: if a start or a mapper places fewer, another is tried and a note says why."""
+    roughly_fewer: float = Field(0.5, ge=0, le=1)
+    """The same share for a rough model, where more images see few of its fewer points."""
     other_focal: float = Field(1.4, gt=1)
     """Ratio of a focal length to the given one, in either direction, from which the two contradict each other
     (`mapper.py`). Data sheets and EXIF are accurate to some percent; a diverged one was 2.1 times too long (a
