@@ -259,17 +259,22 @@ def test_only_what_is_far_from_a_given_focal_length_ran_off(tmp_path: Path) -> N
     assert ran_off(_with_focal(truth, 2.0), guessed, MOST) is None
 
 
+def _one_right(names: tuple[str, str], right: str, truth: pycolmap.Reconstruction, folder: Path) -> dict[str, Path]:
+    """Folders of models by name: the right one, and one of which half of the frames slid."""
+    wrong = pycolmap.Reconstruction(truth)
+    for frame_id in range(1, 5):
+        pose = wrong.frame(frame_id).rig_from_world
+        wrong.frame(frame_id).rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + [0.5, 0.2, 0.4])
+    return {name: _written(truth if name == right else wrong, folder / name) for name in names}
+
+
 @pytest.mark.parametrize("right", ["incremental", "global"])
 def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: str
 ) -> None:
     """The incremental mapper may begin with the wrong one of two relative poses: here half of the frames slid."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=8)
-    wrong = pycolmap.Reconstruction(truth)
-    for frame_id in range(1, 5):
-        pose = wrong.frame(frame_id).rig_from_world
-        wrong.frame(frame_id).rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + [0.5, 0.2, 0.4])
-    made = {name: _written(truth if name == right else wrong, tmp_path / name) for name in ("incremental", "global")}
+    made = _one_right(("incremental", "global"), right, truth, tmp_path)
     asked: list[str] = []
 
     def run(job: mapping.Job, mapper: str, label: str, seed: int = 0) -> mapping.Outcome:
@@ -314,11 +319,7 @@ def test_a_start_that_contradicts_pairs_is_kept_where_it_explains_more_than_a_ma
 ) -> None:
     """Repeats among the verified pairs contradict the right model too: a dimmed canal failed the test by 79 of 765."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=8)
-    wrong = pycolmap.Reconstruction(truth)
-    for frame_id in range(1, 5):
-        pose = wrong.frame(frame_id).rig_from_world
-        wrong.frame(frame_id).rig_from_world = pycolmap.Rigid3d(pose.rotation, pose.translation + [0.5, 0.2, 0.4])
-    made = {name: _written(truth if name == right else wrong, tmp_path / name) for name in ("preview", "global")}
+    made = _one_right(("preview", "global"), right, truth, tmp_path)
 
     def run(job: mapping.Job, mapper: str, label: str) -> mapping.Outcome:
         why = "it contradicts 79 of 765 verified pairs of images" if doubt and mapper == "preview" else ""

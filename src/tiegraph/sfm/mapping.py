@@ -262,7 +262,8 @@ def _clearer(job: Job, first: Outcome, second: Outcome, label: str = "") -> Outc
     share = [_explained(job, one) for one in (first, second)]
     kept = second if share[1] > share[0] else first
     job.account.notes.append(
-        f"{first.mapper} mapping {label} placed {first.registered} of {job.graph.components[0]} connected images and "
+        f"{' '.join([first.mapper, 'mapping', *label.split()])} placed {first.registered} of "
+        f"{job.graph.components[0]} connected images and "
         f"explains {100 * share[0]:.0f} % of the matches, {second.mapper} mapping {second.registered} and "
         f"{100 * share[1]:.0f} %: the {kept.mapper} model is kept"
     )
