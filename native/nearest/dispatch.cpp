@@ -1,8 +1,6 @@
 // Which kernels this machine runs.
 #include "nearest.h"
 
-#include <vector>
-
 namespace nearest {
 
 extern const Kernel kernel_plain;
@@ -10,7 +8,7 @@ extern const Kernel kernel_plain;
 extern const Kernel kernel_avx512, kernel_avx2;
 #endif
 
-const Kernel* kernels(int* count) {
+const std::vector<Kernel>& kernels() {
   static const std::vector<Kernel> found = [] {
     std::vector<Kernel> list;
 #ifdef SGM_X86
@@ -25,8 +23,7 @@ const Kernel* kernels(int* count) {
     list.push_back(kernel_plain);
     return list;
   }();
-  *count = static_cast<int>(found.size());
-  return found.data();
+  return found;
 }
 
 }  // namespace nearest

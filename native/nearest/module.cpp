@@ -6,6 +6,7 @@
 
 #include "nearest.h"
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -26,38 +27,34 @@ Out found_of(std::size_t count, Found& found) {
   return Out(data, {3, count}, owner);
 }
 
-Descriptors descriptors_of(const In& a) {
+int count_of(const In& a) {
   if (a.shape(0) > 10000000) throw std::invalid_argument("too many descriptors");
-  return {a.data(), static_cast<int>(a.shape(0))};
+  return static_cast<int>(a.shape(0));
 }
 
-const Kernel& kernel_of(const std::string& name) {
-  int count;
-  const Kernel* list = kernels(&count);
-  if (name.empty()) return list[0];
-  for (int k = 0; k < count; ++k) {
-    if (name == list[k].name) return list[k];
+// The first kernel of this name, or the fastest one, for so many descriptors.
+const Kernel& kernel_of(const std::string& name, int count) {
+  for (const Kernel& kernel : kernels()) {
+    if ((name.empty() || name == kernel.name) && count <= kernel.most) return kernel;
   }
-  throw std::invalid_argument("this machine runs no kernel " + name);
+  throw std::invalid_argument("this machine runs no kernel " + name + " for " + std::to_string(count) + " descriptors");
 }
 
 nb::tuple search(const In& a, const In& b, const std::string& kernel) {
-  const Kernel& chosen = kernel_of(kernel);
-  const Descriptors left = descriptors_of(a), right = descriptors_of(b);
+  const int count_a = count_of(a), count_b = count_of(b);
+  const Kernel& chosen = kernel_of(kernel, std::max(count_a, count_b));
   Found of_a, of_b;
-  Out first = found_of(left.count, of_a), second = found_of(right.count, of_b);
+  Out first = found_of(count_a, of_a), second = found_of(count_b, of_b);
   {
     nb::gil_scoped_release free;
-    chosen.search(left, right, of_a, of_b);
+    chosen.search(Descriptors(a.data(), count_a), Descriptors(b.data(), count_b), of_a, of_b);
   }
   return nb::make_tuple(first, second);
 }
 
 std::vector<std::string> names() {
-  int count;
-  const Kernel* list = kernels(&count);
   std::vector<std::string> out;
-  for (int k = 0; k < count; ++k) out.emplace_back(list[k].name);
+  for (const Kernel& kernel : kernels()) out.emplace_back(kernel.name);
   return out;
 }
 

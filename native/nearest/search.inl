@@ -1,7 +1,7 @@
 // The search over a set of instructions V: tiles of ROWS descriptors of one image by V::COLUMNS of the other.
 //
 // V::Packed packs descriptors of the second image for its columns; V::tile computes the dot products of a tile and leaves
-// them in (ROWS, V::COLUMNS) vectors; the rest is maxima.
+// them in (ROWS, V::COLUMNS) vectors of V::N numbers V::Number; the rest is maxima.
 #include "nearest.h"
 
 #include <algorithm>
@@ -12,76 +12,81 @@ namespace NEAREST_ISA {
 
 // What is known of the V::N columns of a vector: the largest and second largest so far, and where the largest was.
 struct Best {
-  alignas(64) i32 best[V::N], second[V::N], index[V::N];
+  alignas(64) typename V::Number best[V::N] = {}, second[V::N] = {}, index[V::N] = {};
 };
 
-inline void take(typename V::T dot, typename V::T where, typename V::T& best, typename V::T& second,
-                 typename V::T& index) {
-  second = V::max(second, V::min(best, dot));
-  index = V::where_larger(dot, best, where, index);
-  best = V::max(best, dot);
+struct Lanes {
+  typename V::T best, second, index;
+
+  explicit Lanes(const Best& from) : best(V::load(from.best)), second(V::load(from.second)), index(V::load(from.index)) {}
+
+  void take(typename V::T dot, typename V::T where) {
+    second = V::max(second, V::min(best, dot));
+    index = V::where_larger(dot, best, where, index);
+    best = V::max(best, dot);
+  }
+
+  void store(Best& to) const { V::store(to.best, best), V::store(to.second, second), V::store(to.index, index); }
+};
+
+inline void write(const Found& found, int at, i32 index, i32 best, i32 second) {
+  found.index[at] = best > 0 ? index : -1;
+  found.best[at] = best;
+  found.second[at] = second;
 }
 
-inline void write(const Found& found, int at, const Best& lanes) {
+// The best of all lanes: each has seen a part of the other image.
+inline void write_row(const Found& found, int at, const Best& lanes) {
   int winner = 0;
   for (int k = 1; k < V::N; ++k) {
     const bool more = lanes.best[k] > lanes.best[winner];
     const bool before = lanes.best[k] == lanes.best[winner] && lanes.index[k] < lanes.index[winner];
-    if (more || (before && lanes.best[k] > 0)) winner = k;
+    if (more || before) winner = k;
   }
   i32 second = lanes.second[winner];
   for (int k = 0; k < V::N; ++k) {
-    if (k != winner) second = std::max(second, lanes.best[k]);
+    if (k != winner) second = std::max<i32>(second, lanes.best[k]);
   }
-  found.index[at] = lanes.index[winner];
-  found.best[at] = lanes.best[winner];
-  found.second[at] = second;
+  write(found, at, lanes.index[winner], lanes.best[winner], second);
 }
 
 void search(const Descriptors& a, const Descriptors& b, const Found& of_a, const Found& of_b) {
   using T = typename V::T;
+  using Number = typename V::Number;
   constexpr int VECTORS = V::VECTORS, COLUMNS = VECTORS * V::N, ROWS = V::ROWS;
+  constexpr int BLOCK = 1024 / COLUMNS;  // tiles that all rows go over before the next: they stay in the cache
   const int tiles = (b.count + COLUMNS - 1) / COLUMNS;
   const typename V::Packed packed(b, tiles * COLUMNS);
-  const Best none = [] {
-    Best out;
-    std::fill(out.best, out.best + V::N, 0);
-    std::fill(out.second, out.second + V::N, 0);
-    std::fill(out.index, out.index + V::N, -1);
-    return out;
-  }();
-  std::vector<Best> columns(static_cast<std::size_t>(tiles) * VECTORS, none);
-  i32 numbers[V::N];
-  for (int k = 0; k < V::N; ++k) numbers[k] = k;
+  std::vector<Best> columns(static_cast<std::size_t>(tiles) * VECTORS), of_rows(a.count + ROWS);
+  Number numbers[V::N];
+  for (int k = 0; k < V::N; ++k) numbers[k] = static_cast<Number>(k);
   const T lanes = V::load(numbers);
   typename V::Rows rows;
-  for (int first = 0; first < a.count; first += ROWS) {
-    rows.take(a, first);
-    Best own[ROWS];
-    std::fill(own, own + ROWS, none);
-    for (int tile = 0; tile < tiles; ++tile) {
-      T dots[ROWS][VECTORS];
-      V::tile(rows, packed, tile, dots);
-      for (int v = 0; v < VECTORS; ++v) {
-        Best& column = columns[static_cast<std::size_t>(tile) * VECTORS + v];
-        T best = V::load(column.best), second = V::load(column.second), index = V::load(column.index);
-        const T number = V::add(lanes, V::all(tile * COLUMNS + v * V::N));
+  for (int block = 0; block < tiles; block += BLOCK) {
+    for (int first = 0; first < a.count; first += ROWS) {
+      rows.take(a, first);
+      Best* const own = &of_rows[first];
+      for (int tile = block; tile < std::min(tiles, block + BLOCK); ++tile) {
+        T dots[ROWS][VECTORS];
+        V::tile(rows, packed, tile, dots);
         for (int r = 0; r < ROWS; ++r) {
-          take(dots[r][v], V::all(first + r), best, second, index);
-          T row_best = V::load(own[r].best), row_second = V::load(own[r].second), row_index = V::load(own[r].index);
-          take(dots[r][v], number, row_best, row_second, row_index);
-          V::store(own[r].best, row_best), V::store(own[r].second, row_second), V::store(own[r].index, row_index);
+          Lanes row(own[r]);
+          for (int v = 0; v < VECTORS; ++v) row.take(dots[r][v], V::add(lanes, V::all(tile * COLUMNS + v * V::N)));
+          row.store(own[r]);
         }
-        V::store(column.best, best), V::store(column.second, second), V::store(column.index, index);
+        for (int v = 0; v < VECTORS; ++v) {
+          Best& best = columns[static_cast<std::size_t>(tile) * VECTORS + v];
+          Lanes column(best);
+          for (int r = 0; r < ROWS; ++r) column.take(dots[r][v], V::all(first + r));
+          column.store(best);
+        }
       }
     }
-    for (int r = 0; r < ROWS && first + r < a.count; ++r) write(of_a, first + r, own[r]);
   }
+  for (int r = 0; r < a.count; ++r) write_row(of_a, r, of_rows[r]);
   for (int k = 0; k < b.count; ++k) {
     const Best& column = columns[k / V::N];
-    of_b.index[k] = column.index[k % V::N];
-    of_b.best[k] = column.best[k % V::N];
-    of_b.second[k] = column.second[k % V::N];
+    write(of_b, k, column.index[k % V::N], column.best[k % V::N], column.second[k % V::N]);
   }
 }
 

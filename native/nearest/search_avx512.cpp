@@ -1,8 +1,9 @@
-// Four products a lane at once (VNNI): unsigned columns times rows less 128, which is added again with the columns' sums.
+// Four products and their sum a lane of 32 bits at once (VNNI).
 #include <immintrin.h>
 
 #include "nearest.h"
 
+#include <climits>
 #include <cstring>
 #include <vector>
 
@@ -11,6 +12,7 @@ namespace avx512 {
 
 struct V {
   using T = __m512i;
+  using Number = i32;
   static constexpr int N = 16, VECTORS = 2, ROWS = 8, STEPS = LENGTH / 4;
 
   static T load(const i32* p) { return _mm512_loadu_si512(p); }
@@ -22,33 +24,24 @@ struct V {
   static T where_larger(T a, T b, T yes, T no) { return _mm512_mask_mov_epi32(no, _mm512_cmpgt_epi32_mask(a, b), yes); }
 
   struct Packed {
-    std::vector<u8> data;    // (vectors, STEPS, N, 4)
-    std::vector<i32> added;  // (columns,) 128 times the sum of a descriptor
+    std::vector<u8> data;  // (vectors, STEPS, N, 4)
 
-    Packed(const Descriptors& b, int columns) : data(static_cast<std::size_t>(columns) * LENGTH), added(columns) {
+    Packed(const Descriptors& b, int columns) : data(static_cast<std::size_t>(columns) * LENGTH) {
       for (int c = 0; c < b.count; ++c) {
-        const u8* from = b.data + static_cast<std::size_t>(c) * LENGTH;
+        const u8* from = b.data.data() + static_cast<std::size_t>(c) * LENGTH;
         u8* to = data.data() + static_cast<std::size_t>(c / N) * N * LENGTH + 4 * (c % N);
-        i32 sum = 0;
         for (int s = 0; s < STEPS; ++s) std::memcpy(to + s * 4 * N, from + 4 * s, 4);
-        for (int k = 0; k < LENGTH; ++k) sum += from[k];
-        added[c] = 128 * sum;
       }
     }
   };
 
   struct Rows {
-    alignas(64) i32 data[STEPS][ROWS];  // four signed bytes each
+    alignas(64) i32 data[STEPS][ROWS];  // four bytes each
 
     void take(const Descriptors& a, int first) {
-      for (int r = 0; r < ROWS; ++r) {
-        u8 row[LENGTH];
-        if (first + r < a.count) {
-          std::memcpy(row, a.data + static_cast<std::size_t>(first + r) * LENGTH, LENGTH);
-        } else {
-          std::memset(row, 0, LENGTH);
-        }
-        for (int k = 0; k < LENGTH; ++k) row[k] ^= 0x80;
+      std::memset(data, 0, sizeof(data));
+      for (int r = 0; r < ROWS && first + r < a.count; ++r) {
+        const u8* row = a.data.data() + static_cast<std::size_t>(first + r) * LENGTH;
         for (int s = 0; s < STEPS; ++s) std::memcpy(&data[s][r], row + 4 * s, 4);
       }
     }
@@ -57,10 +50,7 @@ struct V {
   static void tile(const Rows& rows, const Packed& packed, int tile, T (&dots)[ROWS][VECTORS]) {
     const u8* columns = packed.data.data() + static_cast<std::size_t>(tile) * VECTORS * N * LENGTH;
     T sums[ROWS][VECTORS];
-    for (int v = 0; v < VECTORS; ++v) {
-      const T start = load(packed.added.data() + (tile * VECTORS + v) * N);
-      for (int r = 0; r < ROWS; ++r) sums[r][v] = start;
-    }
+    for (auto& row : sums) row[0] = row[1] = _mm512_setzero_si512();
     for (int s = 0; s < STEPS; ++s) {
       const T one = _mm512_loadu_si512(columns + s * 4 * N), other = _mm512_loadu_si512(columns + N * LENGTH + s * 4 * N);
 #pragma GCC unroll 8
@@ -82,5 +72,5 @@ struct V {
 
 namespace nearest {
 extern const Kernel kernel_avx512;
-const Kernel kernel_avx512 = {"avx512vnni", avx512::search};
+const Kernel kernel_avx512 = {"avx512vnni", avx512::search, INT_MAX};
 }  // namespace nearest

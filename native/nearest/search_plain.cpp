@@ -1,6 +1,7 @@
 // Without intrinsics: what the compiler makes of it (on ARM: NEON's multiply and add).
 #include "nearest.h"
 
+#include <climits>
 #include <cstring>
 #include <vector>
 
@@ -8,6 +9,7 @@ namespace nearest {
 namespace plain {
 
 struct V {
+  using Number = i32;
   static constexpr int N = 8, VECTORS = 1, ROWS = 4;
   struct T {
     i32 v[N];
@@ -56,9 +58,10 @@ struct V {
     std::int16_t data[LENGTH][ROWS];
 
     void take(const Descriptors& a, int first) {
-      for (int r = 0; r < ROWS; ++r) {
-        const u8* row = a.data + static_cast<std::size_t>(first + r) * LENGTH;
-        for (int k = 0; k < LENGTH; ++k) data[k][r] = first + r < a.count ? row[k] : 0;
+      std::memset(data, 0, sizeof(data));
+      for (int r = 0; r < ROWS && first + r < a.count; ++r) {
+        const u8* row = a.data.data() + static_cast<std::size_t>(first + r) * LENGTH;
+        for (int k = 0; k < LENGTH; ++k) data[k][r] = row[k];
       }
     }
   };
@@ -83,5 +86,5 @@ struct V {
 
 namespace nearest {
 extern const Kernel kernel_plain;
-const Kernel kernel_plain = {"plain", plain::search};
+const Kernel kernel_plain = {"plain", plain::search, INT_MAX};
 }  // namespace nearest

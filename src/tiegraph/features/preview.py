@@ -19,7 +19,7 @@ import pycolmap
 
 from tiegraph.features import nearest
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.sift import DESCRIPTOR_NORM, contrast, evened, root_sift
+from tiegraph.features.sift import contrast, evened, root_sift
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.limits import need_room
 from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
@@ -199,7 +199,7 @@ def tentative(
         return nothing, nothing
     of_a, of_b = nearest.search(a.descriptors, b.descriptors)
     rows, partner = np.arange(len(a)), of_a[0]
-    cosines = of_a[1:].astype(np.float32) / DESCRIPTOR_NORM**2
+    cosines = of_a[1:].astype(np.float32) / nearest.NORM**2
     best, second = np.sqrt(np.maximum(0, 2 - 2 * cosines))
     good = (of_b[0][partner] == rows) & (best <= settings.ratio * second) & (best <= tuning.max_distance)
     return rows[good], partner[good].astype(int)
