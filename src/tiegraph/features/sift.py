@@ -62,15 +62,17 @@ def extract_sift(
     check_input(gray, mask)
     most = int(most_features(gray.size / 1e6, settings.max_features, tuning))
     image = shrunk(gray, settings.max_image_size)
-    half = shrunk(image, max(image.shape) // 2)  # OpenCV doubles its input
-    # The mean of four pixels has half their noise: a feature of half the contrast is as far above it.
-    sift = _sift(settings.contrast / 2, tuning)
-    found = sift.detect(half, None)
-    keypoints, chosen = _clearest(found, half, gray, mask, tuning)
-    if len(chosen) >= tuning.enough_found * most:
-        chosen = chosen[:most]
-        _, descriptors = sift.compute(half, [found[k] for k in chosen])
-        return keypoints[chosen], root_sift(descriptors)
+    enough = tuning.enough_found * most
+    if image.size >= enough * tuning.crowded_px:
+        half = shrunk(image, max(image.shape) // 2)  # OpenCV doubles its input
+        # The mean of four pixels has half their noise: a feature of half the contrast is as far above it.
+        sift = _sift(settings.contrast / 2, tuning)
+        found = sift.detect(half, None)
+        keypoints, chosen = _clearest(found, half, gray, mask, tuning)
+        if len(chosen) >= enough:
+            chosen = chosen[:most]
+            _, descriptors = sift.compute(half, [found[k] for k in chosen])
+            return keypoints[chosen], root_sift(descriptors)
     # One call: computing only the descriptors of the kept ones would build the pyramid a second time.
     found, descriptors = _sift(settings.contrast, tuning).detectAndCompute(image, None)
     keypoints, chosen = _clearest(found, image, gray, mask, tuning)

@@ -59,6 +59,9 @@ class SiftTuning(Section):
     """Share of that number for the smallest image: 4096 features of 1.5 megapixels and less."""
     enough_found: float = Field(0.75, gt=0)
     """Share of an image's largest number of features: with so many at its own resolution it is not doubled."""
+    crowded_px: float = Field(180.0, ge=0)
+    """Pixels that a feature takes where texture is densest (a bunch of bananas: 227, drones 259, facades 261): an image
+    with too few for enough features is doubled at once."""
     support_sigmas: float = Field(3.0, ge=0)
     """Sigmas of a key point that must be free: where a building ends against a masked sky, the position of a blob is
     biased towards it. On canal such key points rotated the front camera against the rig by 0.01-0.02 deg; they are 5 %
