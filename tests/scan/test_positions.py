@@ -552,7 +552,7 @@ def placed(request):
     given = {"rig": str(CANAL / "rig.toml"), "gnss": CANAL / name, "times": CANAL / "times.csv"}
     scene = scan(CANAL / "images", **given)
     model = read_model(CANAL / "truth" / "colmap")
-    gnss = read_gnss(CANAL / name, ScanTuning().positions.gnss)
+    gnss = read_gnss(CANAL / name, ScanTuning().gnss)
     rows = PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
     found = georeference(model, scene, GeorefSettings(), Tuning().world, Measurements(rows=rows))
     inside = np.linalg.inv(image_poses(model, scene))[:, :3, 3]

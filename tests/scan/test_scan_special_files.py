@@ -15,7 +15,6 @@ import tiegraph
 from said import refused
 from tiegraph.cli.main import main
 from tiegraph.scan.recording import Recording
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import sharpest, take_pictures
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene import images as scene_images
@@ -159,5 +158,5 @@ def test_what_is_no_video_does_not_hold_the_scan(tmp_path: Path) -> None:
         (tmp_path / "list.mkv").write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n{address}\n#EXT-X-ENDLIST\n")
         for name in ("pipe.mp4", "empty.mp4", "text.mp4", "list.mkv"):
             out = tmp_path / "out" / name
-            taken = take_pictures(Recording(tmp_path / name), out, sharpest(1.0), VideoClock(), PicturesTuning())
+            taken = take_pictures(Recording(tmp_path / name), out, sharpest(1.0), VideoClock())
             assert ("named pipe" if name == "pipe.mp4" else "decoded") in taken.said

@@ -103,14 +103,14 @@ def _read_inputs(run: Run) -> None:
     if named and rig_of_run(given.rig) is None:
         read_rig_file(str(given.rig), tuning)
     if given.camera is not None:
-        read_camera(given.camera, tuning)
+        read_camera(given.camera)
     poses = _trajectory(given)
     if poses is not None and (poses.is_file() or is_bag(poses) or has_named_poses(poses)):
         read_trajectory(poses)
     if given.start is not None:
         read_start(given.start)
     if given.gnss is not None:
-        read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss, run.settings.scan.heights_m)
+        read_gnss(given.gnss, run.settings.tuning.scan.gnss, run.settings.scan.heights_m)
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.rigfiles.rigspec import RigSpec
-from tiegraph.scan.tuning import FoldersTuning, FramesTuning
+from tiegraph.scan.tuning import FoldersTuning
 from tiegraph.scene.exif import Exif, relative_rotation
 from tiegraph.text import some
 
@@ -334,7 +334,7 @@ _MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 
 
-def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: FramesTuning) -> Layout | None:
+def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout | None:
     """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
 
     Marks are names of bands; or numbers, if the files or MicaSense's naming show that these are
@@ -357,7 +357,7 @@ def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: F
             shots[str(PurePosixPath(names[k]).parent), match[1]].add(marks[k])
     held = sum(len(s) for s in shots.values())
     possible = max(len(names), len(shots) * len(cameras))
-    if len(cameras) < 2 or len(shots) < 2 or held < tuning.whole * possible:
+    if len(cameras) < 2 or len(shots) < 2 or held < 0.75 * possible:  # with less it is chance
         return None
     spelt = {m: next(f[2] for f, mark in zip(found, marks) if f and mark == m) for m in cameras}
     passes = _pass_names([PurePosixPath(n).parts[:-1] for n in names])

@@ -14,7 +14,6 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.bags import shown
 from tiegraph.scene.exif import Taken
@@ -41,6 +40,7 @@ class Recording:
 # 2000 ... 2100: other times are those of clocks that were never set (0 = 1904, 1970).
 RECORDED_RANGE_S = (946684800.0, 4102444800.0)
 _MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heights
+_MOST_DOP = 5.0  # "under 500 is good" for its hundredfold by GoPro (gpmf-parser)
 
 
 @dataclass(frozen=True)
@@ -77,16 +77,16 @@ class Fixes:
         return Taken(lat_deg=at[0], lon_deg=(at[1] + 180) % 360 - 180, height_m=at[2])
 
 
-def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:
+def believed(readings: Readings) -> tuple[Readings, str]:
     """Readings with a fix and a small enough DOP, in order of their stamps; and how many were left out, why."""
     lat, lon, height = readings.lat_lon_height.T
     no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
     on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > _MOST_HEIGHT_M)
     nowhere = ~no_fix & ~on_earth
-    poor = ~no_fix & on_earth & (readings.dop > tuning.most_dop)
+    poor = ~no_fix & on_earth & (readings.dop > _MOST_DOP)
     reasons = {
         "without a fix": no_fix,
-        f"with a DOP above {tuning.most_dop:g}": poor,
+        f"with a DOP above {_MOST_DOP:g}": poor,
         "not on the Earth": nowhere,
     }
     words = ", ".join(f"{rows.sum()} {why}" for why, rows in reasons.items() if rows.any())

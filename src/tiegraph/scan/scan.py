@@ -67,23 +67,23 @@ def build_scene(
     usable = replace(usable_images(names, probes, report), video=inputs.video)
     # Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into
     cut = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning)
-    cut = cut or perspective_views(usable, inputs.rig, settings, report, tuning)
+    cut = cut or perspective_views(usable, inputs.rig, settings, report, tuning.folders)
     if cut is None:
         survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
         pictures = ImageFiles(names, probes, names)
     else:
         survey, pictures = cut
     survey = _one_size(survey, pictures.names, pictures.probes, report)
-    survey = into_frames(survey, pictures.files, settings.frames, report, tuning.frames)
+    survey = into_frames(survey, pictures.files, settings.frames, report)
     need_two(len(survey.shots), report)
     sizes = {k: _facts(shots, pictures.probes, survey.loose).size for k, shots in _sensors(survey).items()}
-    survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
+    survey = with_camera(survey, sizes, inputs.camera, report.notes)
     if inputs.start is not None:
         must_be_whole(inputs.start, cut is None)
     for start in filter(None, (inputs.start, inputs.cameras if cut is None else None)):
         survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
     rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
-    rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views, tuning.panorama)
+    rigs, survey, views = into_views(rigs, survey, pictures, settings, report)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
     return _scene(inputs, views, rigs, survey, settings, report, tuning)
@@ -158,7 +158,7 @@ def _rigs(
                 sigma_m=sensor.sigma_m,
                 camera_sigma_px=sensor.camera_sigma_px,
             )
-            sensors.append(with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views))
+            sensors.append(with_lit_circle(made, [probes[s.image] for s in groups[r, k]]))
         rigs.append(
             Rig(
                 name=spec.name,

@@ -46,7 +46,7 @@ from tiegraph.scan.rigfiles.cameraread import (
 )
 from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, is_number, lens_fault, nearest
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
-from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.textfile import Element, parse_xml, text_lines, utf8_text
 
@@ -71,7 +71,7 @@ def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
     return found
 
 
-def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
+def check_lens(found: FoundCamera) -> None:
     """Raise InputError for a camera that is physically impossible."""
     if found.size is None:
         return
@@ -79,7 +79,7 @@ def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
     if max(found.size) > MAX_SIDE_PX:
         raise InputError(f"{found.where}: images of {width} x {height}: at most {MAX_SIDE_PX} are read; correct it")
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
-    if wrong := lens_fault(camera, tuning):
+    if wrong := lens_fault(camera):
         raise InputError(f"{found.where}: {wrong}")
 
 
@@ -153,7 +153,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
         raise InputError(f"{path}: no camera (cam0: with camera_model and intrinsics) in it: is it a camchain.yaml?")
     for number, (camera, found) in enumerate(zip(blocks, kalibr(content, str(path)))):
         check_count(found.model, found.params, found.where)
-        check_lens(found, tuning.camera)
+        check_lens(found)
         if number:
             pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}"))
         sensors.append(SensorSpec(name=camera, body_from_sensor=pose, number=number, **found.of_sensor()))

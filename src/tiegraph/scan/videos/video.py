@@ -19,7 +19,6 @@ import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.recording import VIDEO, BrokenTrack, OneVideoTrack, Recording, edits, tracks
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import KINDS as TOPICS
 from tiegraph.scan.videos.bagfilms import BagFilm
 from tiegraph.scan.videos.videotime import VideoClock
@@ -29,6 +28,8 @@ from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
+# Steps up to which frames of a rig's other cameras are taken: half a one, and a margin for stamps in whole milliseconds
+NEAREST_STEPS = 0.75
 _TAKEN = ".taken.json"  # hidden: no image
 
 Frame = tuple[float, np.ndarray]  # stamp in s since the start of the recording, BGR picture
@@ -96,10 +97,10 @@ class OpenVideo:
             last = stamp
             yield stamp + self._delay_s, picture
 
-    def doubts(self, tuning: PicturesTuning) -> str:
+    def doubts(self) -> str:
         """Faults of the frames read, to follow other words; "" for none."""
         said = ""
-        if self.count < tuning.least_decoded * self.expected:
+        if self.count < 0.95 * self.expected:  # the count in some headers is an estimate
             said += f"; only {self.count} of its {self.expected:.0f} frames could be decoded: is the file cut off?"
         if self.unstamped:
             said += (
@@ -154,9 +155,7 @@ def _capture(video: Path) -> cv2.VideoCapture:
         return cv2.VideoCapture(str(link))
 
 
-def take_pictures(
-    recording: Recording, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning
-) -> Pictures:
+def take_pictures(recording: Recording, folder: Path, choice: Choice, clock: VideoClock) -> Pictures:
     """Write the chosen frames of a recording below ``folder``, with time and position in their EXIF.
 
     The folder is made whole or not at all; an existing one is kept. Never raises for a broken video; raises
@@ -177,15 +176,15 @@ def take_pictures(
             write_pixels(partial / f"{folder.name}_{number:06d}.jpg", picture[..., ::-1], clock.taken(stamp))
             numbers.append(number)
             stamps.append(stamp)
-        found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened, tuning))
+        found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened))
         (partial / _TAKEN).write_text(json.dumps(asdict(found)))
     return found
 
 
-def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm, tuning: PicturesTuning) -> str:
+def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm) -> str:
     if not count:
         return f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
-    return f"{name}: {count} pictures, {words}{opened.doubts(tuning)}"
+    return f"{name}: {count} pictures, {words}{opened.doubts()}"
 
 
 def sharpest(per_second: float) -> Choice:
