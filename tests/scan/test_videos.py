@@ -237,7 +237,7 @@ def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
 
 def exif(file: Path) -> Exif:
     with Image.open(file) as image:
-        return read_exif(image, image.size, (0.3, 10.0))
+        return read_exif(image, image.size)
 
 
 @pytest.mark.parametrize("taken", [Taken(-41.4247244, 2.2341561, -3.21, 11.5, time_s=START + 0.123456, utc=True),

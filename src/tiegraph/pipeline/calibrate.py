@@ -140,7 +140,7 @@ def _read_folder(
     paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
-        probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
+        probes = _map(pool, reporter, probe_image, paths)
     usable = usable_images(names, probes, report)
     layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
     report.notes.append(

@@ -61,7 +61,7 @@ def scan(run: Run) -> Outcome:
     files, passed_over = search_images(root)
     names = clean_names(files)  # from here on: only their opening needs the file system's names
     run.reporter.total(2 * len(names))
-    probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
+    probes = run.map(probe_image, [root / f for f in files])
     known = rig_of_run(given.rig)
     inputs = ScanInputs(
         images=root,

@@ -26,6 +26,7 @@ from tiegraph.scene.gnss.fixes import SIGMA_RANGE_M
 
 _DJI = "drone-dji"  # its namespace in XMP
 NAN = float("nan")
+_FOCAL_RANGE = (0.2, 20.0)  # plausible, in longer image sides: 136 degrees of view ... a 700 mm lens
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
 # Tags by which Adobe's programs write the same: tag, namespace and name in XMP.
 _BASE_IN_XMP = ((Base.Make, "tiff", "Make"), (Base.Model, "tiff", "Model"))
@@ -98,9 +99,9 @@ def orientation_in(image: Any) -> int:
     return int(number) if number in range(1, 9) else 1
 
 
-def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float]) -> Exif:
-    """EXIF of an opened PIL image of ``size`` (width, height). Damaged entries, and focal lengths outside a range (in
-    longer image sides), count as not written."""
+def read_exif(image: Any, size: tuple[int, int]) -> Exif:
+    """EXIF of an opened PIL image of ``size`` (width, height). Damaged entries and implausible focal lengths count as
+    not written."""
     try:
         base = image.getexif()
         detail, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
@@ -115,7 +116,7 @@ def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float
     return Exif(
         **vars(replace(place, time_s=time_s, utc=utc)),
         orientation=orientation_in(image),
-        focal_px=_focal(detail, size, focal_range),
+        focal_px=_focal(detail, size),
         zone_s=NAN if utc else _zone(gps, time_s),
         make=_text(base.get(Base.Make)),
         model=_text(base.get(Base.Model)),
@@ -195,7 +196,7 @@ def _in_wgs84(place: Taken, datum: str) -> tuple[Taken, str]:
     return place, "" if _LIKE_WGS84.fullmatch(plain) else doubt
 
 
-def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
+def _focal(detail: dict, size: tuple[int, int]) -> float:
     """Focal length in pixels of the file, by its 35 mm equivalent or by the size of a pixel."""
     (width, height), longer = size, max(size)
     wide, high = _positive(detail.get(Base.ExifImageWidth)), _positive(detail.get(Base.ExifImageHeight))
@@ -211,7 +212,8 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
     by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
     if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
         focal *= zoom
-    return next((f for f in (focal, by_pixels * zoom) if range_[0] * longer <= f <= range_[1] * longer), NAN)
+    low, high = (longer * share for share in _FOCAL_RANGE)
+    return next((f for f in (focal, by_pixels * zoom) if low <= f <= high), NAN)
 
 
 def _zoom(detail: dict) -> float:

@@ -8,56 +8,6 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class PanoramaTuning(Section):
-    """Recognition of equirectangular panoramas (`wideviews.py`)."""
-
-    min_width_px: int = Field(1024, gt=0)
-    """Smaller panoramas have views of less than 290 px."""
-    pole_grey: float = Field(6.0, gt=0)
-    """Largest variation in grey levels of a row that is one point of the sphere (JPEG noise); the image has more."""
-    seam: float = Field(3.0, gt=0)
-    """Step over the seam, in steps between the columns beside it."""
-    least_step_grey: float = Field(0.5, gt=0)
-    """Tolerance of such a step in any case: a clear sky has none."""
-
-
-class FisheyeTuning(Section):
-    """The image circle of a fisheye lens (`wideviews.py`), at `look_px` where pixels are meant."""
-
-    look_px: int = Field(480, gt=0)
-    """Longer side of a lens' image at which its circle is searched: a pixel is 0.4 % of its radius."""
-    corner: float = Field(0.02, gt=0, lt=0.5)
-    """Share of the shorter side: squares in the corners that must be dark. A circle as wide as the image leaves 0.1."""
-    dark_grey: float = Field(24.0, ge=0, le=255)
-    """Brightest channel of unlit pixels, with JPEG's noise; kerry_park's surround has 0 .. 12."""
-    play_px: float = Field(1.5, gt=0)
-    """Distance of a place from the circle: a pixel and its blur; places this near to the border are not used ..."""
-    play: float = Field(0.01, ge=0)
-    """... or by this share of the radius: the rim of a lens is no exact circle."""
-    least_share: float = Field(0.4, gt=0, le=1)
-    """Share of the rays that must end on the circle: the image may cut it on two or four sides, and dark scenes end
-    early."""
-    off_middle: float = Field(0.1, ge=0)
-    """Share of the shorter side: between the circle's centre and the image's."""
-    least_radius: float = Field(0.3, gt=0)
-    """Share of the shorter side: a smaller circle is a spot of light in a dark picture."""
-    alike: float = Field(0.03, ge=0)
-    """Relative difference of the radii of two circles side by side."""
-
-
-class ImageTuning(Section):
-    """Limits for image files (`images.py`, `exif.py`)."""
-
-    min_side_px: int = Field(32, gt=0)
-    """Least sides of a usable image."""
-    focal_range: tuple[float, float] = (0.2, 20.0)
-    """Plausible focal lengths of EXIF in longer image sides: 136 degrees of view ... a 700 mm lens."""
-    panorama: PanoramaTuning = Field(default_factory=PanoramaTuning)
-    """Panoramas."""
-    fisheye: FisheyeTuning = Field(default_factory=FisheyeTuning)
-    """Fisheye images."""
-
-
 class GnssTuning(Section):
     """Limits of a receiver's positions (`gnss/`)."""
 
@@ -153,8 +103,6 @@ class JoiningTuning(Section):
 class Tuning(Section):
     """Constants of the shared library that are the same for every user."""
 
-    images: ImageTuning = Field(default_factory=ImageTuning)
-    """Image files."""
     control: ControlTuning = Field(default_factory=ControlTuning)
     """Control points."""
     registered: RegisteredTuning = Field(default_factory=RegisteredTuning)
