@@ -252,14 +252,11 @@ def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report) 
 
 
 def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
-    if len(stems) < 2:
-        return
-    counts = sorted({len(s) for s in stems.values()})
-    if how == "number" and asked == "auto":
-        report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
-    if how == "time":
-        report.notes.append(f"pass {sequence}: images of one frame found by the times in their names")
-    if how == "order":
+    found = {"number": "last number" if asked == "auto" else "", "time": "times"}.get(how)
+    if found and len(stems) > 1:
+        report.notes.append(f"pass {sequence}: images of one frame found by the {found} in their names")
+    if how == "order" and len(stems) > 1:
+        counts = sorted({len(s) for s in stems.values()})
         text = f"pass {sequence}: file names do not show which images belong together; taken in the order of names"
         if len(counts) > 1:
             text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
@@ -269,11 +266,9 @@ def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str
 def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> list[Shot]:
     first: dict[str, Shot] = {}
     for shot in shots:
-        if shot.key in first:
-            used = names[first[shot.key].image]
-            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {used} is used")
-        else:
-            first[shot.key] = shot
+        used = first.setdefault(shot.key, shot)
+        if used is not shot:
+            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {names[used.image]} is used")
     return list(first.values())
 
 

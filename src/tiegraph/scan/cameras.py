@@ -198,14 +198,11 @@ def read_camera(text: str) -> SensorSpec:
     if not names_file(text):
         if path.suffix.lower() in _FILES or "/" in text:
             raise InputError(f"{where}: no such file; {WORDS}")
-        return _sensor(in_words(re.split(r"[,;\s]+", text.strip()), where, WORDS))
-    if path.suffix.lower() == ".toml":
+        found = in_words(re.split(r"[,;\s]+", text.strip()), where, WORDS)
+    elif path.suffix.lower() == ".toml":
         return camera_table(path, utf8_text(path, where, f"; {WORDS}"))
-    return _sensor(only_one(read_camera_file(path, where), where))
-
-
-def _sensor(found: FoundCamera) -> SensorSpec:
-    """A sensor with the camera, if a lens can have these values."""
+    else:
+        found = only_one(read_camera_file(path, where), where)
     check_lens(found)
     return SensorSpec("camera", **found.of_sensor())
 

@@ -144,21 +144,17 @@ def _place(gps: dict, xmp: Taken, rtk: bool) -> tuple[Taken, str]:
     below = gps.get(GPS.GPSAltitudeRef) in (1, 3, b"\x01", b"\x03", b"1", "1")
     height = _number(gps.get(GPS.GPSAltitude), NAN) * (-1 if below else 1)
     lat, lon = _angle(gps, GPS.GPSLatitude, "S"), _angle(gps, GPS.GPSLongitude, "W")
-    known, given = (
-        bool(_text(gps.get(GPS.GPSLatitudeRef)) and _text(gps.get(GPS.GPSLongitudeRef))),
-        GPS.GPSLatitude in gps or GPS.GPSLongitude in gps,
-    )
+    known = bool(_text(gps.get(GPS.GPSLatitudeRef)) and _text(gps.get(GPS.GPSLongitudeRef)))
+    given = GPS.GPSLatitude in gps or GPS.GPSLongitude in gps
     empty = np.isnan([lat, lon]).all() or (lat, lon) == (0, 0)
     coarser = empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg))
     if coarser and np.isfinite([xmp.lat_deg, xmp.lon_deg]).all():
         lat, lon, known, given = xmp.lat_deg, xmp.lon_deg, True, True
     if not height > 0 and not height < 0 and np.isfinite(xmp.height_m):
         height = xmp.height_m
-    sigmas = (
-        (_positive(gps.get(GPS.GPSHPositioningError)), NAN)
-        if rtk or GPS.GPSHPositioningError in gps
-        else (xmp.sigma_m, xmp.sigma_up_m)
-    )
+    sigmas = xmp.sigma_m, xmp.sigma_up_m
+    if rtk or GPS.GPSHPositioningError in gps:
+        sigmas = _positive(gps.get(GPS.GPSHPositioningError)), NAN
     if not given:
         return Taken(), ""
     if np.isnan([lat, lon]).all():
@@ -206,9 +202,8 @@ def _focal(detail: dict, size: tuple[int, int]) -> float:
     equivalent = _positive(detail.get(Base.FocalLengthIn35mmFilm))
     focal = equivalent / _DIAGONAL_35MM * (wide**2 + high**2) ** 0.5 * smaller
     mm, density = _positive(detail.get(Base.FocalLength)), _positive(detail.get(Base.FocalPlaneXResolution))
-    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}.get(
-        int(_number(detail.get(Base.FocalPlaneResolutionUnit, 2), 2)), 25.4
-    )
+    unit = int(_number(detail.get(Base.FocalPlaneResolutionUnit), 2))
+    unit_mm = {3: 10.0, 4: 1.0, 5: 0.001}.get(unit, 25.4)
     by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
     if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
         focal *= zoom
@@ -232,20 +227,9 @@ def _angle(gps: dict, key: int, negative: str) -> float:
 
 def _time(base: dict, detail: dict) -> tuple[float, bool]:
     """Seconds since 1970, and whether they are UTC: by the first valid one of EXIF's three times."""
-    offset = detail.get(Base.OffsetTime)
-    for text, fraction, zone in (
-        (
-            detail.get(Base.DateTimeOriginal),
-            detail.get(Base.SubsecTimeOriginal),
-            detail.get(Base.OffsetTimeOriginal, offset),
-        ),
-        (
-            detail.get(Base.DateTimeDigitized),
-            detail.get(Base.SubsecTimeDigitized),
-            detail.get(Base.OffsetTimeDigitized, offset),
-        ),
-        (base.get(Base.DateTime), detail.get(Base.SubsecTime), offset),
-    ):
+    for kind, table in (("Original", detail), ("Digitized", detail), ("", base)):
+        text, fraction = table.get(Base[f"DateTime{kind}"]), detail.get(Base[f"SubsecTime{kind}"])
+        zone = detail.get(Base[f"OffsetTime{kind}"], detail.get(Base.OffsetTime))
         found = _WHEN.fullmatch(_text(text))
         if found is None:
             continue

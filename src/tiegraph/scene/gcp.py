@@ -36,6 +36,7 @@ from tiegraph.scene.textfile import (
 from tiegraph.scene.tuning import ControlTuning
 
 MAX_SIGMA_M = 100.0  # a larger sigma of a surveyed point means another unit, or a typing error
+_NEED = {"points": "coordinates", "marks": "a pixel in an image"}
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
 _TITLE = re.compile(
@@ -158,9 +159,6 @@ def _check_targets(found: GcpFile) -> None:
                 f"{found.path}, line {bar.line}: the end {lost!r} of this bar is neither marked nor a coded target; "
                 f"{FORM} (--marks gives marks of others)"
             )
-
-
-_NEED = {"points": "coordinates", "marks": "a pixel in an image"}
 
 
 def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:

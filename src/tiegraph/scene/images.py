@@ -193,12 +193,9 @@ def probe_image(path: Path) -> Probe:
 def _picture_at(data: bytes) -> int:
     """Begin of the picture of a JPEG, behind its tags: files with one picture are one photograph. 0 for others."""
     at = 2 if data.startswith(b"\xff\xd8\xff") else len(data)
-    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != _SCAN:
+    while data[at : at + 1] == b"\xff" and data[at : at + 2] != b"\xff\xda":
         at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return at if data[at : at + 2] == b"\xff" + _SCAN else 0
-
-
-_SCAN = b"\xda"  # JPEG's marker of it
+    return at if data[at : at + 2] == b"\xff\xda" else 0
 
 
 def _describe(data: bytes, suffix: str, digest: str) -> Probe:

@@ -21,6 +21,9 @@ from tiegraph.scene.rig import Circle, LensView, Sensor
 _LOOK_PX = 480  # longer side of a lens' image at which its circle is searched: a pixel is 0.4 % of its radius
 _DARK_GREY = 24.0  # brightest channel of unlit pixels, with JPEG's noise; kerry_park's surround has 0 .. 12
 _PLAY_PX = 1.5  # from the circle: a pixel and its blur; places this near to the border are not used
+_RIM = 360  # corners of the rim of a cone, drawn as a polygon
+_STEP = 4  # pixels between those whose places in a fisheye image are computed
+_NOWHERE = -8.0  # farther from the image than the interpolation reaches
 _RAYS, _STEP_PX, _BLUR_PX = 240, 0.5, 0.8  # rays from the middle and steps along them to find the end of the circle
 
 
@@ -73,8 +76,11 @@ def lit_circle(brightness: np.ndarray) -> Circle | None:
     on = np.zeros(len(ends), bool)
     for k in range(_RAYS):
         three = (k + np.arange(3) * (_RAYS // 4)) % _RAYS
-        if inside[three].all() and (close := inside & _close(ends, _fit(ends[three]))).sum() > on.sum():
-            on = close
+        if inside[three].all():
+            x, y, radius = _fit(ends[three])
+            off = np.abs(np.hypot(ends[:, 0] - x, ends[:, 1] - y) - radius)
+            close = inside & (off <= max(_PLAY_PX, 0.01 * radius))  # the rim of a lens is no exact circle
+            on = close if close.sum() > on.sum() else on
     # The image may cut it on two or four sides, and dark scenes end early
     if on.sum() < 0.4 * _RAYS:
         return None
@@ -83,12 +89,6 @@ def lit_circle(brightness: np.ndarray) -> Circle | None:
     central = np.hypot(x - width / 2, y - height / 2) <= 0.1 * shorter
     # A smaller circle is a spot of light in a dark picture
     return (x, y, radius) if central and radius >= 0.3 * shorter else None
-
-
-def _close(points: np.ndarray, circle: Circle) -> np.ndarray:
-    x, y, radius = circle
-    off = np.abs(np.hypot(points[:, 0] - x, points[:, 1] - y) - radius)
-    return np.asarray(off <= max(_PLAY_PX, 0.01 * radius))  # the rim of a lens is no exact circle
 
 
 def _ends(brightness: np.ndarray) -> np.ndarray:
@@ -168,9 +168,6 @@ def _within(camera: pycolmap.Camera, half_deg: float) -> np.ndarray:
     return seen > 0
 
 
-_RIM = 360  # corners of the rim of a cone, drawn as a polygon
-
-
 def frozen(camera: pycolmap.Camera) -> tuple:
     """A camera as the key of a cache."""
     return camera.model.name, camera.width, camera.height, tuple(camera.params)
@@ -196,10 +193,6 @@ def _lens_map(lens: tuple, rotation: tuple[float, ...], pinhole: tuple) -> tuple
     maps = cv2.resize(found, size, interpolation=cv2.INTER_LINEAR)[_STEP : _STEP + rows, _STEP : _STEP + columns]
     maps = np.where(np.isfinite(maps), maps, _NOWHERE).astype(np.float32)
     return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
-
-
-_STEP = 4
-_NOWHERE = -8.0  # farther from the image than the interpolation reaches
 
 
 def _grows_until(camera: pycolmap.Camera) -> float:

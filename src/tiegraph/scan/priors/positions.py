@@ -274,9 +274,6 @@ def body_of(spec: RigSpec) -> tuple[np.ndarray, str]:
     return (np.eye(4), "camera") if pose is None else (pose, spec.axes)
 
 
-_NEAR_NOUGHT_M = 5.0  # of a height: if another is so near to 0 metres, 0 can be a height
-
-
 def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str], tuning: GnssTuning) -> Priors:
     """Priors with the positions that cameras wrote into their files; outliers far from all others are not used.
 
@@ -299,7 +296,7 @@ def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: lis
         sigma[k] = flat, flat, up if np.isfinite(up) else tuning.vertical * flat
     nought = there & (places[:, 2] == 0)  # some cameras write it while they have no height
     others = np.abs(places[there & ~nought, 2])
-    if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > _NEAR_NOUGHT_M:
+    if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > 5:  # with another so near 0, it can be one
         places[nought, 2] = np.nan
     low = there & np.isnan(places[:, 2])
     if low.any():

@@ -107,7 +107,6 @@ def check_count(model: str, params: tuple[float, ...], where: str) -> None:
 
 
 def _cameras_txt(content: str, where: str) -> list[FoundCamera]:
-    """COLMAP's cameras.txt: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]."""
     found = []
     for number, line in enumerate(text_lines(content), 1):
         words, at = line.split(), f"{where}, line {number}"
@@ -143,9 +142,6 @@ def cameras_bin(path: Path, where: str) -> list[FoundCamera]:
     return found
 
 
-_CHAIN = "T_cn_cnm1"
-
-
 def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpec:
     """The rig of a camchain.yaml, called ``name``. Raises InputError naming camera and key."""
     blocks, pose, sensors = kalibr_blocks(content), np.eye(4), []
@@ -165,15 +161,15 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
 
 def _link(block: str, where: str) -> np.ndarray:
     """(4, 4) from the previous camera to this one."""
-    given = matrix_of(block, _CHAIN)
+    given = matrix_of(block, "T_cn_cnm1")
     if not given:
         raise InputError(
-            f"{where}: no {_CHAIN}: its pose in the rig is missing. Calibrate the cameras together, or give a rig.toml"
+            f"{where}: no T_cn_cnm1: its pose in the rig is missing. Calibrate the cameras together, or give a rig.toml"
         )
-    matrix = np.array(exactly(given, 16, f"{where}: {_CHAIN}")).reshape(4, 4)
+    matrix = np.array(exactly(given, 16, f"{where}: T_cn_cnm1")).reshape(4, 4)
     good = np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])
     if not good or not are_rotations(matrix[:3, :3], UNIT):
-        raise InputError(f"{where}: {_CHAIN} is no rotation and position (4 rows of 4, the last 0, 0, 0, 1)")
+        raise InputError(f"{where}: T_cn_cnm1 is no rotation and position (4 rows of 4, the last 0, 0, 0, 1)")
     return matrix
 
 
@@ -220,7 +216,6 @@ def _opensfm(name: str, row: dict[str, Any], where: str) -> FoundCamera:
 def _opensfm_lens(
     kind: str, focal: tuple[float, float], middle: tuple[float, ...], value: dict[str, float], where: str
 ) -> tuple[str, tuple[float, ...]]:
-    """COLMAP's model and parameters."""
     one = focal[0] == focal[1]
     radial = ("RADIAL", "k1 k2") if one else ("OPENCV", "k1 k2 - -")
     forms = {  # a term that OpenSfM lacks is 0

@@ -303,7 +303,6 @@ def _pose(part: Part, axes: str) -> np.ndarray | None:
 
 
 def _matrix(part: Part) -> np.ndarray:
-    """(3, 3), (3, 4) or (4, 4) of body_from_sensor."""
     key = "body_from_sensor"
     matrix = finite_array(part.data[key], (3, 3), (3, 4), (4, 4))
     if matrix is None:

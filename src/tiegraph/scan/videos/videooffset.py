@@ -135,10 +135,8 @@ class _Pair:
     def offsets(self) -> np.ndarray:
         """Offsets in half steps at which the videos share enough seconds."""
         (a, b), (c, d) = self._ends
-        low, high = a - d + _LEAST_S, b - c - _LEAST_S
-        return (
-            low + self.step_s / 2 * np.arange(int((high - low) / (self.step_s / 2)) + 1) if high >= low else np.zeros(0)
-        )
+        low, high, half = a - d + _LEAST_S, b - c - _LEAST_S, self.step_s / 2
+        return low + half * np.arange(int((high - low) / half) + 1 if high >= low else 0)
 
     def shared(self, offset_s: float) -> tuple[float, float]:
         """First and last stamp of the first video within the second."""
@@ -223,12 +221,11 @@ def films_together(
     usable = Usable(tuple(range(len(films))), tuple(names), probes, video=True)
     survey = assign(rig, usable, settings, Report(), tuning, text)
     groups: dict[tuple[int, str], dict[int, int]] = {}
-    alone = set(range(len(films)))
     for shot in survey.shots:
         if shot.sequence:
             groups.setdefault((shot.rig, shot.sequence), {})[shot.sensor] = shot.image
     together = [tuple(g[s] for s in sorted(g)) for g in groups.values() if len(g) > 1]
-    return sorted(together + [(k,) for k in alone.difference(*together)])
+    return sorted(together + [(k,) for k in set(range(len(films))).difference(*together)])
 
 
 def offsets_given(folders: Sequence[str], settings: ScanSettings) -> dict[int, float]:
