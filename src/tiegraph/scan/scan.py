@@ -18,7 +18,7 @@ from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import Tuning
+from tiegraph.scan.tuning import CameraTuning, Tuning
 from tiegraph.scan.views import into_views, perspective_views, two_lenses, with_lit_circle
 from tiegraph.scene.composed import wide_first
 from tiegraph.scene.decoding import EIGHT_BIT
@@ -82,11 +82,11 @@ def build_scene(
         must_be_whole(inputs.start, cut is None)
     for start in filter(None, (inputs.start, inputs.cameras if cut is None else None)):
         survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
-    rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
+    rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning.rig.camera)
     rigs, survey, views = into_views(rigs, survey, pictures, settings, report)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
-    return _scene(inputs, views, rigs, survey, settings, report, tuning)
+    return _scene(inputs, views, rigs, survey, settings, report)
 
 
 # --- sizes and frames -----------------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
 
 
 def _rigs(
-    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: Tuning
+    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: CameraTuning
 ) -> tuple[tuple[Rig, ...], Survey]:
     groups = _sensors(survey)
     hows: dict[str, list[str]] = {}
@@ -145,7 +145,7 @@ def _rigs(
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
             facts = _facts(groups[r, k], probes, survey.loose)
-            camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
+            camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning)
             hows.setdefault(how, []).append(sensor.name)
             made = Sensor(
                 name=sensor.name,
@@ -213,7 +213,7 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
 
 def _scene(
     inputs: ScanInputs, pictures: ImageFiles, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings,
-    report: Report, tuning: Tuning,
+    report: Report,
 ) -> Scene:  # fmt: skip
     given = [pictures.names[s.image] for s in survey.shots]
     safe = safe_names(given)
@@ -227,7 +227,7 @@ def _scene(
     frames = Frames(
         rows=rows, sequences=sequences, names=sources, exif=exif, rigs=rigs, specs=survey.specs, sensors=sensors
     )
-    priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings, tuning)
+    priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     if missing := sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows):
         report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")

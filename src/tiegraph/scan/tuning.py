@@ -2,7 +2,6 @@
 
 from pydantic import Field
 
-from tiegraph.scene.tuning import GnssTuning
 from tiegraph.settings import Section
 
 
@@ -57,5 +56,3 @@ class Tuning(Section):
     """Folders and order."""
     rig: RigTuning = Field(default_factory=RigTuning)
     """Rigs and their cameras."""
-    gnss: GnssTuning = Field(default_factory=GnssTuning)
-    """Positions of a receiver."""

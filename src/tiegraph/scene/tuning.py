@@ -1,35 +1,11 @@
 """Constants of the shared library, each with its unit, its meaning and the source of its value.
 
-``GnssTuning`` and ``TrendTuning`` belong to one engine alone, scan and sfm, and are in its tuning.
+``TrendTuning`` belongs to one engine alone, sfm, and is in its tuning.
 """
 
 from pydantic import Field
 
 from tiegraph.settings import Section
-
-
-class GnssTuning(Section):
-    """Limits of a receiver's positions (`gnss/`)."""
-
-    vertical: float = Field(2.0, gt=0)
-    """Sigma of a height over the horizontal one: height is about half as accurate, because all satellites are above."""
-    most_far: float = Field(0.1, ge=0, le=1)
-    """Largest share of positions that is left out as false."""
-    stuck: int = Field(3, gt=1)
-    """Least number of positions for the note that all are the same."""
-
-
-class ControlTuning(Section):
-    """Control points of files (`gcp.py`)."""
-
-    sigma_m: tuple[float, float, float] = (0.02, 0.02, 0.03)
-    """East, north and up of a surveyed point without sigma in its file: network RTK with a pole."""
-    bar_sigma_m: float = Field(0.001, gt=0)
-    """Share of the length of a scale bar without sigma in its file: measured with a tape."""
-    longest_bar_m: float = Field(100.0, gt=0)
-    """Larger lengths are in millimetres."""
-    largest_copy: float = Field(4.0, ge=1)
-    """Size of a marked image over the survey's: images are halved at most twice for a survey."""
 
 
 class TrendTuning(Section):
@@ -103,8 +79,6 @@ class JoiningTuning(Section):
 class Tuning(Section):
     """Constants of the shared library that are the same for every user."""
 
-    control: ControlTuning = Field(default_factory=ControlTuning)
-    """Control points."""
     registered: RegisteredTuning = Field(default_factory=RegisteredTuning)
     """Registered images."""
     blocks: BlocksTuning = Field(default_factory=BlocksTuning)

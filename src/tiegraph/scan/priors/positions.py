@@ -14,6 +14,7 @@ from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss.fixes import (
+    VERTICAL,
     Gnss,
     at_times,
     beyond,
@@ -25,7 +26,6 @@ from tiegraph.scene.gnss.fixes import (
 )
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.times import DAY_S, GPS_EPOCH_S
-from tiegraph.scene.tuning import GnssTuning
 from tiegraph.text import some
 
 _NAMED = 3  # frames without a position that are named
@@ -68,7 +68,6 @@ def from_gnss(
     gnss: Gnss,
     settings: ScanSettings,
     notes: list[str],
-    tuning: GnssTuning,
 ) -> Priors:
     """Priors with the positions of a GNSS file: by image name, else interpolated at the frames' times.
 
@@ -76,7 +75,7 @@ def from_gnss(
     """
     gnss, path = on_clock_of(gnss, priors.time_s), gnss.path
     if gnss.names:
-        gnss = without_far(_known(gnss, frames), tuning.most_far)
+        gnss = without_far(_known(gnss, frames))
     notes.extend(gnss.notes)
     near = slice(None) if gnss.names else _overlap(gnss, priors.time_s, settings)
     origin = _origin(gnss.lat_lon_height[near], settings, notes)
@@ -101,7 +100,7 @@ def from_gnss(
             f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "
             f"{_without(frames, ~there, gnss, priors.time_s)}{hint}"
         )
-    default = settings.gnss_sigma_m * np.array([1.0, 1.0, tuning.vertical])
+    default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL])
     if np.isnan(sigma[there]).any():
         notes.append(
             f"{path.name}: accuracy not given; {default[0]:g} m horizontal and {default[2]:g} m vertical assumed"
@@ -274,13 +273,13 @@ def body_of(spec: RigSpec) -> tuple[np.ndarray, str]:
     return (np.eye(4), "camera") if pose is None else (pose, spec.axes)
 
 
-def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str], tuning: GnssTuning) -> Priors:
+def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str]) -> Priors:
     """Priors with the positions that cameras wrote into their files; outliers far from all others are not used.
 
     Raises InputError if the CRS of the settings does not fit the positions.
     """
     _say_doubts(frames, notes)
-    llh, given = _exif_positions(frames, notes, settings.heights_m, tuning.most_far)
+    llh, given = _exif_positions(frames, notes, settings.heights_m)
     found = [[i for i in row.images if np.isfinite(llh[i, 0])] for row in frames.rows]
     there = np.array([bool(f) for f in found])
     if there.sum() < 2:
@@ -293,7 +292,7 @@ def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: lis
         places[k] = np.mean(llh[found[k]], axis=0)
         flat, up = given[found[k][0]]
         flat = flat if np.isfinite(flat) else settings.gnss_sigma_m
-        sigma[k] = flat, flat, up if np.isfinite(up) else tuning.vertical * flat
+        sigma[k] = flat, flat, up if np.isfinite(up) else VERTICAL * flat
     nought = there & (places[:, 2] == 0)  # some cameras write it while they have no height
     others = np.abs(places[there & ~nought, 2])
     if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > 5:  # with another so near 0, it can be one
@@ -303,7 +302,7 @@ def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: lis
         places[low, 2] = np.nanmedian(places[:, 2]) if (there & ~low).any() else 0.0
         sigma[low, 2] = 100.0
         notes.append(f"EXIF: {low.sum()} positions have no height")
-    if stuck := stuck_note(places[there], "EXIF", tuning.stuck):
+    if stuck := stuck_note(places[there], "EXIF"):
         notes.append(f"{stuck} Not used")
         return priors
     places_of = {(frames.rows[k].rig, *places[k, :2]) for k in np.flatnonzero(there)}
@@ -336,9 +335,7 @@ def _say_doubts(frames: Frames, notes: list[str]) -> None:
             )
 
 
-def _exif_positions(
-    frames: Frames, notes: list[str], heights_m: tuple[float, float], most_far: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _exif_positions(frames: Frames, notes: list[str], heights_m: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres."""
     llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
     none = np.flatnonzero((llh[:, 2] < heights_m[0]) | (llh[:, 2] > heights_m[1]))
@@ -350,7 +347,7 @@ def _exif_positions(
     llh[none, 2] = np.nan
     known = np.flatnonzero(np.isfinite(llh[:, 0]))
     level = np.nan_to_num(llh[known])  # an unknown height serves as zero here: a mountain is no gap of kilometres
-    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known], most_far)
+    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known])
     if note:
         notes.append(note)
     llh[known[far]] = np.nan

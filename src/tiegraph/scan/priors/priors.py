@@ -16,7 +16,6 @@ from tiegraph.scan.priors.times import exif_times, name_times, read_times
 from tiegraph.scan.priors.trajectory import of_images, poses_by_image, read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.cells import date_text
 from tiegraph.scene.exif import Exif
@@ -55,7 +54,6 @@ def estimate_priors(
     trajectory: Path | StartModel | Followed | None,
     times: Path | None,
     settings: ScanSettings,
-    tuning: Tuning,
 ) -> Priors:
     """Times, positions and poses of the frames from the user's files; ``trajectory`` may be a start model, or
     odometry.
@@ -85,10 +83,10 @@ def estimate_priors(
     step = 0.0 if times is not None else step_of(time_s)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
-        rows = read_gnss(gnss, tuning.gnss, settings.heights_m)
-        priors = from_gnss(priors, frames, rows, settings, notes, tuning.gnss)
+        rows = read_gnss(gnss, settings.heights_m)
+        priors = from_gnss(priors, frames, rows, settings, notes)
     else:
-        priors = from_exif(priors, frames, settings, notes, tuning.gnss)
+        priors = from_exif(priors, frames, settings, notes)
     if priors.origin is None and settings.crs.lower() != "auto":
         notes.append(
             f"--scan.crs {settings.crs}: nothing here has positions (no GNSS file, no EXIF): only control points "

@@ -34,7 +34,6 @@ from tiegraph.scene.gnss.fixes import EMPTY, HEIGHTS_M, SIGMA_RANGE_M, Gnss, abo
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import crs_above, decoded, filled_lines, parse_crs_line, say_axes, units_of, whole_file
 from tiegraph.scene.times import times_of
-from tiegraph.scene.tuning import GnssTuning
 
 if TYPE_CHECKING:
     import pyproj
@@ -224,7 +223,7 @@ FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], G
 The first that fits is used."""
 
 
-def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
+def read_gnss(path: Path, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
     """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags``); ``heights_m``: range
     of plausible heights.
 
@@ -232,9 +231,9 @@ def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = H
     the file cannot be read, is damaged, or has no usable row.
     """
     if is_bag(Path(path)):
-        return judged(solutions.read_navsat(Path(path)), tuning, heights_m)
+        return judged(solutions.read_navsat(Path(path)), heights_m)
     raw = whole_file(Path(path), "give the GNSS file as a CSV file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
     read = next(read for told, read in FORMATS.values() if told(head, raw[:_HEAD]))
-    return judged(read(Path(path), raw), tuning, heights_m)
+    return judged(read(Path(path), raw), heights_m)
