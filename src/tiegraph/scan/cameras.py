@@ -26,7 +26,7 @@ from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, re
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, only_one
 from tiegraph.scan.rigfiles.rigfaults import FOV_DEG, focal_fault, lens_fault
 from tiegraph.scan.rigfiles.rigfile import camera_table
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.rigfiles.rigspec import CIRCLE_DEG, START_FOCAL, RigSpec, SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.atomic import names_file
@@ -125,7 +125,7 @@ def _guessed(spec: SensorSpec, facts: FileFacts, fisheye: bool, tuning: CameraTu
         return _from_hfov(spec.hfov_deg, width, fisheye), how
     if fisheye:
         circle = np.isfinite(facts.radius_px)
-        across = tuning.guessed_circle_deg if circle else tuning.guessed_fisheye_deg
+        across = CIRCLE_DEG if circle else tuning.guessed_fisheye_deg
         how = f"focal length guessed: a fisheye of {across:g} degrees across{' its circle' if circle else ''}"
         return _from_hfov(across, 2 * facts.radius_px if circle else width, fisheye), how
     how = f"focal length guessed as {tuning.guessed_focal} x the longer side (no EXIF, no rig file with a camera)"
@@ -262,7 +262,7 @@ def start_cameras(root: Path, by_folder: Mapping[str, FoundCamera], names: Seque
 
 
 def with_start_cameras(
-    survey: Survey, sizes: Sizes, start: StartModel, notes: list[str], names: Sequence[str], tuning: CameraTuning
+    survey: Survey, sizes: Sizes, start: StartModel, notes: list[str], names: Sequence[str]
 ) -> Survey:
     """The survey with the cameras of a start model where the user gave none: initial values, to be adjusted.
 
@@ -289,7 +289,7 @@ def with_start_cameras(
             )
         check_lens(found)
         found = _adjustable(found, size)
-        focal = tuning.start_focal * found.params[0]
+        focal = START_FOCAL * found.params[0]
         specs = _with_sensor(specs, (r, k), **found.of_sensor(), camera_sigma_px=focal, started=True)
     if given:
         notes.append(f"{some(given)}: the cameras given are used, not those of {start.cameras_of()}")

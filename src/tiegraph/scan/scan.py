@@ -81,7 +81,7 @@ def build_scene(
     if inputs.start is not None:
         must_be_whole(inputs.start, cut is None)
     for start in filter(None, (inputs.start, inputs.cameras if cut is None else None)):
-        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
+        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names)
     rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning.rig.camera)
     rigs, survey, views = into_views(rigs, survey, pictures, settings, report)
     if inputs.start is not None:

@@ -32,10 +32,10 @@ from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.prepare import Report, Usable
 from tiegraph.scan.rigfiles.rigfaults import lens_fault
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient, preset_sizes
+from tiegraph.scan.rigfiles.rigspec import CIRCLE_DEG, START_FOCAL, RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.telemetry import FactoryLens, factory_lenses
-from tiegraph.scan.tuning import CameraTuning, FoldersTuning, RigTuning, Tuning
+from tiegraph.scan.tuning import FoldersTuning, RigTuning, Tuning
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, Source
 from tiegraph.scene.wideviews import is_fisheye, seen, seen_half_deg
@@ -181,7 +181,7 @@ def two_lenses(
     if 2 * sum(both) <= len(both):
         return None
     kept = of_one_kind(usable, both, [True] * len(both), "not two fisheye images, as most files here are", report)
-    spec = _nominal(kept.probes, report, tuning.rig.camera) if rig is None else _given(rig, text, tuning.rig)
+    spec = _nominal(kept.probes, report) if rig is None else _given(rig, text, tuning.rig)
     survey, images = share_files(kept, spec, settings, tuning.folders)
     halves = []
     for probe, part in ((p, s.sensor) for p, s in zip(images.probes, survey.shots)):
@@ -194,8 +194,7 @@ def two_lenses(
     return survey, replace(images, names=jpeg, probes=halves)
 
 
-def _nominal(probes: Sequence[Probe], report: Report, tuning: CameraTuning) -> RigSpec:
-    across_deg = tuning.guessed_circle_deg
+def _nominal(probes: Sequence[Probe], report: Report) -> RigSpec:
     found = [p for p in probes if len(p.circles) == len(NAMES)]
     circles = np.median([p.circles for p in found], axis=0)  # (2, 3)
     width, height = found[0].width // len(NAMES), found[0].height
@@ -207,8 +206,8 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: CameraTuning) -> R
     sensors = []
     for k, name in enumerate(NAMES):
         x, y, radius = (float(v) for v in circles[k] - (k * width, 0, 0))
-        focal = radius / np.radians(across_deg / 2)
-        share = tuning.start_focal if all(measured) else 0.05
+        focal = radius / np.radians(CIRCLE_DEG / 2)
+        share = START_FOCAL if all(measured) else 0.05
         params = measured[k] if all(measured) else (focal, focal, x, y, 0.0, 0.0, 0.0, 0.0)
         sensors.append(
             SensorSpec(
@@ -222,7 +221,7 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: CameraTuning) -> R
                 part=k,
             )
         )
-    seen = f"each with an assumed field of view of {across_deg:g} degrees across its circle"
+    seen = f"each with an assumed field of view of {CIRCLE_DEG:g} degrees across its circle"
     if all(measured):
         seen = "their initial distortion is the factory's, which fits the circles of the pictures"
     elif any(lens.sphere for pair in factory for lens in pair):
