@@ -121,12 +121,7 @@ class Trend:
         return f"jump by {self.end - self.start:+.2g} {unit} after {self.at:.0%} of the way"
 
 
-def trend(
-    values: np.ndarray,
-    tests: int = 1,
-    offset: bool = False,
-    sigma: np.ndarray | float = 1.0,
-) -> Trend | None:
+def trend(values: np.ndarray, tests: int = 1, offset: bool = False, sigma: np.ndarray | float = 1.0) -> Trend | None:
     """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
 
     ``offset``: or the constant, if they should be about zero. A step may have a line beside it: residuals of a

@@ -62,13 +62,7 @@ class Priors:
     notes: tuple[str, ...] = field(default_factory=tuple)
 
 
-def from_gnss(
-    priors: Priors,
-    frames: Frames,
-    gnss: Gnss,
-    settings: ScanSettings,
-    notes: list[str],
-) -> Priors:
+def from_gnss(priors: Priors, frames: Frames, gnss: Gnss, settings: ScanSettings, notes: list[str]) -> Priors:
     """Priors with the positions of a GNSS file: by image name, else interpolated at the frames' times.
 
     Raises InputError if no row fits a frame, or the CRS of the settings does not fit the positions.

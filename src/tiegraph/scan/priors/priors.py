@@ -49,12 +49,9 @@ class Followed:
 
 
 def estimate_priors(
-    frames: Frames,
-    gnss: Path | None,
-    trajectory: Path | StartModel | Followed | None,
-    times: Path | None,
+    frames: Frames, gnss: Path | None, trajectory: Path | StartModel | Followed | None, times: Path | None,
     settings: ScanSettings,
-) -> Priors:
+) -> Priors:  # fmt: skip
     """Times, positions and poses of the frames from the user's files; ``trajectory`` may be a start model, or
     odometry.
 
@@ -154,12 +151,9 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
 
 
 def _paths(
-    frames: Frames,
-    files: dict[int, tuple[Path, Trajectory]],
-    time_s: np.ndarray,
-    settings: ScanSettings,
+    frames: Frames, files: dict[int, tuple[Path, Trajectory]], time_s: np.ndarray, settings: ScanSettings,
     notes: list[str],
-) -> _Paths | None:
+) -> _Paths | None:  # fmt: skip
     if not files:
         return None
     by_image = next(((path, t) for path, t in files.values() if t.names), None)

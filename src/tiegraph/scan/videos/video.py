@@ -176,15 +176,12 @@ def take_pictures(recording: Recording, folder: Path, choice: Choice, clock: Vid
             write_pixels(partial / f"{folder.name}_{number:06d}.jpg", picture[..., ::-1], clock.taken(stamp))
             numbers.append(number)
             stamps.append(stamp)
-        found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened))
+        said = f"{name}: {len(stamps)} pictures, {choice.words}{opened.doubts()}"
+        if not stamps:
+            said = f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
+        found = Pictures(tuple(numbers), tuple(stamps), said)
         (partial / _TAKEN).write_text(json.dumps(asdict(found)))
     return found
-
-
-def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm) -> str:
-    if not count:
-        return f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
-    return f"{name}: {count} pictures, {words}{opened.doubts()}"
 
 
 def sharpest(per_second: float) -> Choice:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,10 +58,8 @@ def read_columns(path: Path, raw: bytes) -> Gnss:
     return _fixes(table, crs_above(lines, path))
 
 
-def is_geotxt(text: str, raw: bytes) -> bool:
-    """Whether the first line of a file that is no comment is a CRS."""
-    first = next((line for _, line in filled_lines(text) if not line.startswith("#")), "")
-    return bool(_CRS.match(first))
+def _stated(text: str) -> Iterator[tuple[int, str]]:
+    return ((n, line) for n, line in filled_lines(text) if not line.startswith("#"))
 
 
 def read_geotxt(path: Path, raw: bytes) -> Gnss:
@@ -70,7 +68,7 @@ def read_geotxt(path: Path, raw: bytes) -> Gnss:
     Raises InputError for an unknown CRS, a place outside it, no rows, and for a list of control points.
     """
     text, doubts = decoded(path, raw, "GNSS file")
-    (n, first), *lines = [(n, line) for n, line in filled_lines(text) if not line.startswith("#")]
+    (n, first), *lines = _stated(text)
     crs = parse_crs_line(first, f"{path}, line {n}")
     control = next((n for n, line in lines if _GCP.match(line)), None)
     if control is not None:
@@ -209,14 +207,14 @@ def _believed(
     return np.where(good, values, np.nan)
 
 
-FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], Gnss]]] = {
-    "GPX": (tracks.is_gpx, tracks.read_gpx),
-    "KML": (tracks.is_kml, tracks.read_kml),
-    "SBET": (solutions.is_sbet, solutions.read_sbet),
-    "RTKLIB": (solutions.is_rtklib, solutions.read_rtklib),
-    "DJI MRK": (solutions.is_mrk, solutions.read_mrk),
-    "ODM geo.txt": (is_geotxt, read_geotxt),
-    "NMEA 0183": (tracks.is_nmea, tracks.read_nmea),
+FORMATS: dict[str, tuple[Callable[[str, bytes], object], Callable[[Path, bytes], Gnss]]] = {
+    "GPX": (lambda text, raw: tracks.GPX.match(text), tracks.read_gpx),
+    "KML": (lambda text, raw: tracks.is_zip(raw) or tracks.KML.match(text), tracks.read_kml),
+    "SBET": (lambda text, raw: solutions.is_sbet(raw), solutions.read_sbet),
+    "RTKLIB": (lambda text, raw: solutions.RTKLIB.search(text), solutions.read_rtklib),
+    "DJI MRK": (lambda text, raw: solutions.MRK.match(text), solutions.read_mrk),
+    "ODM geo.txt": (lambda text, raw: _CRS.match(next(_stated(text), (0, ""))[1]), read_geotxt),
+    "NMEA 0183": (lambda text, raw: tracks.NMEA.search(raw), tracks.read_nmea),
     "CSV": (lambda text, raw: True, read_columns),
 }
 """For each format a test whether the first bytes of a file, as text and as bytes, are of it, and its reader.
