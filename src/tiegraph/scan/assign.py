@@ -228,9 +228,6 @@ def _millimetres(exif: Exif) -> str:
     return f"{exif.focal_mm:.1f}mm{zoom}" if np.isfinite(exif.focal_mm) else ""
 
 
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
 def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report) -> Survey:
     """The survey with the frame of each image; second images of a frame are dropped in the report."""
     groups: dict[tuple[int, str], list[Shot]] = {}

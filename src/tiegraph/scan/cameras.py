@@ -207,8 +207,6 @@ def read_camera(text: str) -> SensorSpec:
     return SensorSpec("camera", **found.of_sensor())
 
 
-# --- which camera of the survey it is -------------------------------------------------------------------------------
-
 Sizes = Mapping[tuple[int, int], tuple[int, int]]
 """Width and height of the images, by rig and sensor."""
 

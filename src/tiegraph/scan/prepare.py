@@ -186,9 +186,6 @@ def need_two(count: int, report: Report) -> None:
         )
 
 
-# --- the images that the other stages read --------------------------------------------------------------------------
-
-
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 

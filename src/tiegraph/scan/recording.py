@@ -104,9 +104,6 @@ VIDEO = b"vide"
 _MOST_SAMPLES = 1_000_000  # bound of memory: telemetry of 11 days, one a second
 
 
-# --- tracks of an MP4 file -------------------------------------------------------------------------------------------
-
-
 class BrokenTrack(ValueError):
     """Tables of a track, entries or records that contradict each other or the file; the text names them."""
 
@@ -305,9 +302,6 @@ class OneVideoTrack(io.BufferedIOBase):
         """As of a file."""
         self._file.close()
         super().close()
-
-
-# --- boxes of an MP4 or QuickTime file -------------------------------------------------------------------------------
 
 
 def boxes(file: BinaryIO, kind: bytes, begin: int, end: int) -> Iterator[tuple[int, int]]:

@@ -89,9 +89,6 @@ def build_scene(
     return _scene(inputs, views, rigs, survey, settings, report)
 
 
-# --- sizes and frames -----------------------------------------------------------------------------------------------
-
-
 def _sensors(survey: Survey) -> dict[tuple[int, int], list[Shot]]:
     groups: dict[tuple[int, int], list[Shot]] = {}
     for shot in survey.shots:
@@ -124,9 +121,6 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
                 reason = f"{size[0]} x {size[1]} pixels, but most images of {name} have {usual[0]} x {usual[1]}"
                 report.drop([names[shot.image]], reason)
     return replace(survey, shots=tuple(sorted(kept, key=lambda s: s.image)))
-
-
-# --- cameras and rigs -----------------------------------------------------------------------------------------------
 
 
 def _rigs(
@@ -206,9 +200,6 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
     if spec.antenna_m is None or pose is None:
         return None
     return tuple((np.linalg.inv(pose) @ [*spec.antenna_m, 1.0])[:3].tolist())
-
-
-# --- the scene ------------------------------------------------------------------------------------------------------
 
 
 def _scene(

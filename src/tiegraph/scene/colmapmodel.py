@@ -271,9 +271,6 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
     return tuple(out)
 
 
-# --- registered images ------------------------------------------------------------------------------------------------
-
-
 BY_RIG = "placed by the rig"  # the name of the others in tables
 _ASKED = 100  # points of an image that are tested; of more, some that are spread evenly
 LEFT_OUT = "left out: "  # begin of the reason for an image that had a wrong position
@@ -322,9 +319,6 @@ def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
     place = np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead]), float)
     off = np.linalg.norm(place - np.array([p.xy for p in asked])[ahead], axis=1)
     return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN counts as disagreement
-
-
-# --- adjustments ------------------------------------------------------------------------------------------------------
 
 
 # COLMAP replaces the sparse factorisation by an iterative solver at 1000 images, rig or not. Factorised are

@@ -296,9 +296,6 @@ def exif_of(taken: Taken) -> Image.Exif:
     return block
 
 
-# --- XMP --------------------------------------------------------------------------------------------------------------
-
-
 def read_rig_tags(text: str) -> RigTags:
     """Rig tags of the XMP of an image; damaged ones count as not written."""
     if "RigCameraIndex" not in text and "BandName" not in text:

@@ -160,9 +160,7 @@ def has_images(root: Path) -> bool:
 
 def _begins_like_an_image(path: Path) -> bool:
     try:
-        if not path.is_file():  # a pipe would wait forever
-            return False
-        with open(path, "rb") as file:
+        with regular(path, None).open("rb") as file:
             return file.read(8).startswith(BEGINS)
     except OSError:
         return False

@@ -204,9 +204,6 @@ def _grows_until(camera: pycolmap.Camera) -> float:
     return float(angle[falls[0]]) if len(falls) else float(np.pi / 2)
 
 
-# --- panoramas --------------------------------------------------------------------------------------------------------
-
-
 _EQUIRECTANGULAR = "equirectangular"
 _TAGS = ("FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels",
          "CroppedAreaLeftPixels", "CroppedAreaTopPixels")  # fmt: skip

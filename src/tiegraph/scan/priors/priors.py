@@ -94,9 +94,6 @@ def estimate_priors(
     return replace(priors, notes=tuple(notes))
 
 
-# --- times ----------------------------------------------------------------------------------------------------------
-
-
 def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> np.ndarray:
     if file is not None:
         out, said = read_times(file, frames.rows, frames.sequences, frames.names)
@@ -145,9 +142,6 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
     same = f"all {len(known)} frames with a time have the same, {date_text(known[0])}"
     notes.append(f"{where}: {same}: not used; give --times if times matter")
     return np.full(len(time_s), np.nan)
-
-
-# --- trajectories ---------------------------------------------------------------------------------------------------
 
 
 def _paths(

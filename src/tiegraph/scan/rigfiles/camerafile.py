@@ -136,7 +136,7 @@ def cameras_bin(path: Path, where: str) -> list[FoundCamera]:
     except OSError as error:
         raise InputError(f"{where}: cannot be read ({error})") from None
     except (struct.error, KeyError, OverflowError):
-        raise InputError(f"{where}: no cameras.bin of COLMAP, or cut off; export the model again") from None
+        at = -1
     if at != len(data) or not found:
         raise InputError(f"{where}: no cameras.bin of COLMAP, or cut off; export the model again")
     return found
@@ -171,9 +171,6 @@ def _link(block: str, where: str) -> np.ndarray:
     if not good or not are_rotations(matrix[:3, :3], UNIT):
         raise InputError(f"{where}: T_cn_cnm1 is no rotation and position (4 rows of 4, the last 0, 0, 0, 1)")
     return matrix
-
-
-# --- OpenSfM ----------------------------------------------------------------------------------------------------------
 
 
 def opensfm(content: str, where: str) -> list[FoundCamera]:
@@ -235,9 +232,6 @@ def _opensfm_lens(
     model, terms = forms[kind]
     first = focal[:1] if model.startswith("RADIAL") else focal
     return model, (*first, *middle, *(value.get(t, 0.0) for t in terms.split()))
-
-
-# --- Agisoft ----------------------------------------------------------------------------------------------------------
 
 
 _TERMS = (

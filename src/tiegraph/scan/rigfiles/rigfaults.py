@@ -118,9 +118,6 @@ def nearest(value: Any, valid: tuple[Any, ...], cutoff: float = 0.5) -> str:
     return f"; perhaps you meant {near[0]!r}?" if near else ""
 
 
-# --- geometry ---------------------------------------------------------------------------------------------------------
-
-
 class Fault(NamedTuple):
     """A fault: the key in the ``number``-th sensor or pair, and the sentence."""
 
@@ -196,9 +193,6 @@ def _pair(pair: SensorPair, tuning: RigTuning) -> Iterator[tuple[str, str]]:
         value = getattr(pair, key)
         if value is not None and not least <= value <= most:
             yield key, f"{key} = {value:g}: expected {least:g} to {most:g}"
-
-
-# --- lenses ---------------------------------------------------------------------------------------------------------
 
 
 def count_fault(model: str, params: Sequence[float]) -> str:

@@ -233,9 +233,6 @@ def _sharpness(picture: np.ndarray) -> float:
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
 
 
-# --- videos of 360 cameras before stitching --------------------------------------------------------------------------
-
-
 SUFFIX = ".insv"
 _OF_LENS = re.compile(r"^(VID_\d+_\d+)_([01])0_(\d+)$", re.IGNORECASE)
 

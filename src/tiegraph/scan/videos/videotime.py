@@ -140,7 +140,6 @@ def _created(video: Path) -> tuple[float, float] | None:
     return created + _MP4_EPOCH_S, length / scale if scale else 0.0
 
 
-# --- DJI's subtitles --------------------------------------------------------------------------------------------------
 # The subtitles that DJI drones write beside their videos (``DJI_0001.SRT``): time and position of every frame.
 #
 # Two forms. Newer drones: a date with fractions of a second and ``[latitude: 41.42] [longitude: 2.23] [rel_alt: 1.3
