@@ -66,8 +66,8 @@ def build_scene(
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = replace(usable_images(names, probes, report), video=inputs.video)
     # Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into
-    cut = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning)
-    cut = cut or perspective_views(usable, inputs.rig, settings, report, tuning.folders)
+    cut = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning.rig)
+    cut = cut or perspective_views(usable, inputs.rig, settings, report)
     if cut is None:
         survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
         pictures = ImageFiles(names, probes, names)

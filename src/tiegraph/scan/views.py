@@ -35,7 +35,7 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import CIRCLE_DEG, START_FOCAL, RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.telemetry import FactoryLens, factory_lenses
-from tiegraph.scan.tuning import FoldersTuning, RigTuning, Tuning
+from tiegraph.scan.tuning import FoldersTuning, RigTuning
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, Source
 from tiegraph.scene.wideviews import is_fisheye, seen, seen_half_deg
@@ -61,7 +61,7 @@ def _order(survey: Survey) -> str:
 
 
 def perspective_views(
-    usable: Usable, rig: str | None, settings: ScanSettings, report: Report, tuning: FoldersTuning
+    usable: Usable, rig: str | None, settings: ScanSettings, report: Report
 ) -> tuple[Survey, ImageFiles] | None:
     """Views of a survey of panoramas, and their owners; None if it is none.
 
@@ -85,7 +85,7 @@ def perspective_views(
     spheres = [p.sphere for p in kept.probes if p.sphere is not None]
     width = sorted(s.width for s in spheres)[len(spheres) // 2]
     spec = panorama_rig(width)
-    survey, images = share_files(kept, spec, settings, tuning)
+    survey, images = share_files(kept, spec, settings)
     columns, rows = spec.sensors[0].size or (0, 0)
     cameras = [pycolmap.Camera(model=s.model, width=columns, height=rows, params=s.params) for s in spec.sensors]
     turns = [np.reshape(s.view_of_panorama, (3, 3)) for s in spec.sensors]
@@ -124,14 +124,12 @@ def of_one_kind(
     return replace(usable, images=tuple(usable.images[k] for k in kept), names=names, probes=probes)
 
 
-def share_files(
-    usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: FoldersTuning
-) -> tuple[Survey, ImageFiles]:
+def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings) -> tuple[Survey, ImageFiles]:
     """The images of a rig's sensors from each file, named like it in a folder of the sensor's name, with the
     probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
     exif, sizes = usable.facts()
-    layout = guess_layout(usable.names, exif, sizes, kind, tuning)
+    layout = guess_layout(usable.names, exif, sizes, kind, FoldersTuning())
     views: list[str] = []
     shots: list[Shot] = []
     for name, place in zip(usable.names, layout.places):
@@ -167,7 +165,7 @@ def panorama_rig(width_px: int) -> RigSpec:
 
 
 def two_lenses(
-    usable: Usable, rig: str | None, text: str | None, settings: ScanSettings, report: Report, tuning: Tuning
+    usable: Usable, rig: str | None, text: str | None, settings: ScanSettings, report: Report, tuning: RigTuning
 ) -> tuple[Survey, ImageFiles] | None:
     """The lenses' images of a survey whose files hold two circles each; None if it is none.
 
@@ -181,8 +179,8 @@ def two_lenses(
     if 2 * sum(both) <= len(both):
         return None
     kept = of_one_kind(usable, both, [True] * len(both), "not two fisheye images, as most files here are", report)
-    spec = _nominal(kept.probes, report) if rig is None else _given(rig, text, tuning.rig)
-    survey, images = share_files(kept, spec, settings, tuning.folders)
+    spec = _nominal(kept.probes, report) if rig is None else _given(rig, text, tuning)
+    survey, images = share_files(kept, spec, settings)
     halves = []
     for probe, part in ((p, s.sensor) for p, s in zip(images.probes, survey.shots)):
         width = probe.width // len(NAMES)
