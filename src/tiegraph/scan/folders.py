@@ -129,13 +129,9 @@ def shot_stem(name: str, folder: str) -> str:
 
 def _pass_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
     """Pass of each image: its folders without those that all share; for a single pass the last specific one."""
-    common = _common(paths)
+    common = len(os.path.commonprefix(list(paths)))
     telling = [p for p in paths[0][:common] if not words(p) & _GENERIC_WORDS] if paths else []
     return ["/".join(p[common:]) or [LONE_PASS, *telling][-1] for p in paths]
-
-
-def _common(paths: Sequence[tuple[str, ...]]) -> int:
-    return len(os.path.commonprefix(list(paths)))
 
 
 def guess_layout(
@@ -174,7 +170,7 @@ def _by_camera_level(
 ) -> tuple[list[Place], str]:
     """Places of the images ``inside``, None if no level of folders is one of cameras, and why."""
     paths = [PurePosixPath(names[k]).parts[:-1] for k in inside]
-    common = _common(paths)
+    common = len(os.path.commonprefix(paths))
     shots = [(PurePosixPath(names[k]).stem, exif[k]) for k in inside]
     level, why = _camera_level([p[common:] for p in paths], shots, kind, cameras)
     if level is None:

@@ -144,7 +144,7 @@ def tracks(file: BinaryIO) -> list[Track]:
     ]
 
 
-_TABLES = (b"mdia", b"minf", b"stbl")
+_TABLES, _EDITS = (b"mdia", b"minf", b"stbl"), (b"edts", b"elst")
 
 
 def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int, count: int) -> bytes:
@@ -154,6 +154,15 @@ def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int
         return b""
     file.seek(found[at < 0] + at)
     return file.read(count)
+
+
+def contents(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], most: int) -> bytes:
+    """The first bytes of the box at the end of a path of boxes; none without it."""
+    found = _inside(file, span, path)
+    if found is None:
+        return b""
+    file.seek(found[0])
+    return file.read(min(most, found[1] - found[0]))
 
 
 def _inside(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> tuple[int, int] | None:
@@ -181,11 +190,10 @@ def samples(file: BinaryIO, track: Track) -> Samples:
 def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
     """By its edit list (8.6.6) how long a track shows nothing at first, and how much of its samples is then cut
     off, s. Raises BrokenTrack."""
-    found, whole = _inside(file, track.span, (b"edts", b"elst")), (0, file.seek(0, 2))
-    if found is None or _inside(file, whole, (b"moov", b"mvhd")) is None:
+    whole = 0, file.seek(0, 2)
+    if None in (_inside(file, track.span, _EDITS), _inside(file, whole, (b"moov", b"mvhd"))):
         return 0.0, 0.0
-    file.seek(found[0])
-    data = file.read(min(found[1] - found[0], _MOST_SAMPLES))
+    data = contents(file, track.span, _EDITS, _MOST_SAMPLES)
     wide = data[:1] == b"\1"
     row = np.dtype([("length", ">u8" if wide else ">u4"), ("media", ">i8" if wide else ">i4"), ("rate", ">u4")])
     rows = np.frombuffer(data[8 : 8 + (len(data) - 8) // row.itemsize * row.itemsize], row)
@@ -203,10 +211,7 @@ def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
 
 def _scale(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> int:
     """Units a second of the times of a track or a movie (8.2.2, 8.4.2)."""
-    found, data = _inside(file, span, path), b""
-    if found is not None:
-        file.seek(found[0])
-        data = file.read(min(24, found[1] - found[0]))
+    data = contents(file, span, path, 24)
     wide = data[:1] == b"\1"
     scale = int.from_bytes(data[20:24] if wide else data[12:16], "big")
     if not scale:
@@ -216,11 +221,10 @@ def _scale(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> int:
 
 def _sizes(file: BinaryIO, track: Track) -> np.ndarray:
     """(N,) bytes of each sample (8.7.3.2): one size for all, or a table."""
-    found = _inside(file, track.span, (*_TABLES, b"stsz"))
-    if found is None or found[1] - found[0] < 12:
+    data = contents(file, track.span, (*_TABLES, b"stsz"), 12)
+    if len(data) < 12:
         raise BrokenTrack("it has no table stsz")
-    file.seek(found[0] + 4)
-    size, count = (int(v) for v in np.frombuffer(file.read(8), ">u4"))
+    size, count = (int(v) for v in np.frombuffer(data[4:], ">u4"))
     if count > _MOST_SAMPLES:
         raise BrokenTrack(f"its table stsz has {count} samples, more than the {_MOST_SAMPLES} that are read")
     if size:

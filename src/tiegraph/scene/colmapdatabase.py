@@ -68,13 +68,13 @@ class Rows:
     def inlier_counts(self, table: str = "two_view_geometries") -> np.ndarray:
         """(P, 3) i8: both image ids and the number of verified matches of each verified pair, or of raw ``matches``."""
         found = self._connection.execute(f"SELECT pair_id, rows FROM {table} WHERE rows > 0").fetchall()
-        return np.array([(*_images(pair), count) for pair, count in found], int).reshape(-1, 3)
+        return np.array([(*divmod(pair, MAX_IMAGES), count) for pair, count in found], int).reshape(-1, 3)
 
     def verified(self) -> Iterator[tuple[int, int, np.ndarray]]:
         """Both image ids and the verified matches (K, 2) i8 of each verified pair."""
         query = "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0"
         for pair, rows, data in self._connection.execute(query):
-            yield *_images(pair), _matches(rows, data)
+            yield *divmod(pair, MAX_IMAGES), _matches(rows, data)
 
     def verified_of(self, a: int, b: int) -> np.ndarray:
         """(K, 2) i8 verified matches of two images, in their order; none if there are none."""
@@ -109,10 +109,6 @@ class Rows:
             cameras[key] = pycolmap.Camera(camera_id=key, model=model, width=width, height=height, params=params)
             cameras[key].has_prior_focal_length = bool(prior)
         return {k: cameras[c] for k, c in self._connection.execute("SELECT image_id, camera_id FROM images")}
-
-
-def _images(pair_id: int) -> tuple[int, int]:
-    return pair_id // MAX_IMAGES, pair_id % MAX_IMAGES
 
 
 def _matches(rows: int, data: bytes) -> np.ndarray:

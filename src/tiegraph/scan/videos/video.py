@@ -10,7 +10,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath, PurePosixPath
 
@@ -248,16 +248,10 @@ def _of_lens(video: PurePath) -> re.Match[str] | None:
 
 def recordings_of(video: Path, folder: str) -> list[tuple[Recording, str]]:
     """A video with the folder of its pictures; if its two lenses have a track each, <folder>/fisheye0 and 1."""
-    if not (video.suffix.lower() == SUFFIX and _two_tracks(video)):
+    shown: list[bytes] = []
+    if video.suffix.lower() == SUFFIX:
+        with suppress(OSError), regular(video, None).open("rb") as file:
+            shown = [track.shown for track in tracks(file) if track.kind == VIDEO]
+    if len(shown) != 2 or shown[0] != shown[1]:
         return [(Recording(video), folder)]
     return [(Recording(video, k), f"{folder}/fisheye{k}") for k in range(2)]
-
-
-def _two_tracks(path: Path) -> bool:
-    """Whether a file has two video tracks of one size."""
-    try:
-        with regular(path, None).open("rb") as file:
-            shown = [track.shown for track in tracks(file) if track.kind == VIDEO]
-    except OSError:
-        return False
-    return len(shown) == 2 and shown[0] == shown[1]

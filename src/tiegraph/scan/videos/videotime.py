@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.scan.recording import RECORDED_RANGE_S, BrokenTrack, Fixes, Readings, believed, boxes
+from tiegraph.scan.recording import RECORDED_RANGE_S, BrokenTrack, Fixes, Readings, believed, contents
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.telemetry import Telemetry, read_gpmf, read_trailer
 from tiegraph.scene.atomic import regular
@@ -43,7 +43,8 @@ class VideoClock:
 
 def video_clock(video: Path, settings: ScanSettings) -> VideoClock:
     """The clock of a video, with ``scan.video_offset`` of all videos applied; never raises for a broken file."""
-    name, file, told = clean(video.name), subtitles_of(video), video_offsets(settings.video_offset)
+    name, told = clean(video.name), video_offsets(settings.video_offset)
+    file = next((f for s in (".SRT", ".srt", ".Srt") if (f := video.with_suffix(s)).exists()), None)
     subtitles = None if file is None else read_subtitles(file, settings.gnss_sigma_m)
     notes = [] if file is None or subtitles is None else subtitles.notes(clean(file.name))
     if file is not None and subtitles is None:
@@ -126,15 +127,8 @@ def _created(video: Path) -> tuple[float, float] | None:
     """Creation time (seconds since 1970) and length (s) in the movie header of an MP4 or QuickTime file."""
     try:
         with regular(video, None).open("rb") as file:
-            size = file.seek(0, 2)
-            movie = next(boxes(file, b"moov", 0, size), None)
-            header = movie and next(boxes(file, b"mvhd", *movie), None)
-            if not header:
-                return None
-            file.seek(header[0])
-            data = file.read(32)
-            wide = data[0] == 1
-            created, _, scale, length = struct.unpack_from(">QQIQ" if wide else ">IIII", data, 4)
+            data = contents(file, (0, file.seek(0, 2)), (b"moov", b"mvhd"), 32)
+            created, _, scale, length = struct.unpack_from(">QQIQ" if data[0] == 1 else ">IIII", data, 4)
     except (OSError, struct.error, IndexError):
         return None
     return created + _MP4_EPOCH_S, length / scale if scale else 0.0
@@ -180,11 +174,6 @@ class Subtitles:
         if np.isnan(self.start_s):
             return [f"{rows}, none has a date"]
         return [f"{rows}; the video begins at {date_text(self.start_s)} in the drone's own clock and zone"]
-
-
-def subtitles_of(video: Path) -> Path | None:
-    """The file of the same name that ends in .SRT, if there is one."""
-    return next((f for s in (".SRT", ".srt", ".Srt") if (f := video.with_suffix(s)).exists()), None)
 
 
 def read_subtitles(file: Path, receiver_sigma_m: float) -> Subtitles | None:
