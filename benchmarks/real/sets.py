@@ -15,7 +15,6 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.rig import Copy, Sensor
-from tiegraph.scene.tuning import ControlTuning
 
 import pycolmap  # isort: skip
 
@@ -101,7 +100,7 @@ def middlebury(path: Path) -> dict[str, np.ndarray]:
 
 def _marks(path: Path, files: dict[str, Path], copy: Copy) -> tuple[Mark, ...]:
     """Marks of the images of the set, in pixels of the full upright image, by surveyed place."""
-    found = read_gcps(path, ControlTuning())
+    found = read_gcps(path)
     lookup = {Path(name).name.lower(): name for name in files}
     place = {p.name: (float(x), float(y), float(z)) for p in found.points for x, y, z in [p.xyz]}
     marks = []

@@ -40,7 +40,6 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ControlTuning, GnssTuning
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.mapping import believed_cameras
@@ -74,14 +73,14 @@ class Survey:
         """The receiver's rows in the scene's world."""
         if self.dataset.gnss is None or self.scene.prior != "gnss" or self.scene.origin is None:
             return None
-        gnss = read_gnss(self.dataset.gnss, GnssTuning())
+        gnss = read_gnss(self.dataset.gnss)
         place = world_from_geodetic(gnss.lat_lon_height, self.scene.origin)
         return PositionRows(gnss.time_s, place, gnss.sigma_m)
 
     def control(self) -> Control | None:
         """Surveyed points of the set."""
         path = self.dataset.images.parent / "gcp_list.txt"
-        return locate(read_gcps(path, ControlTuning()), self.scene) if path.exists() else None
+        return locate(read_gcps(path), self.scene) if path.exists() else None
 
 
 def georeferenced(survey: Survey, way: str, given: Measurements) -> tuple[Georeference, Any, float]:

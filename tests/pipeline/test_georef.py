@@ -29,7 +29,6 @@ from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import merged
 from tiegraph.project.stages import Receipts
 from tiegraph.scene.gcp import read_gcps
-from tiegraph.scene.tuning import ControlTuning
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.georeferencing import ConstantParameters, GeorefRequest
@@ -114,7 +113,7 @@ def test_orientations_are_those_of_the_marked_files_alone(tmp_path: Path) -> Non
     (tmp_path / "gcp_list.txt").write_text("EPSG:32654\n" + "\n".join(rows))
     scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(4), np.zeros(4))
     run = SimpleNamespace(inputs=SimpleNamespace(images=tmp_path))
-    found = orientations(run, scene, read_gcps(tmp_path / "gcp_list.txt", ControlTuning()))  # type: ignore[arg-type]
+    found = orientations(run, scene, read_gcps(tmp_path / "gcp_list.txt"))  # type: ignore[arg-type]
     assert found == {0: 8, 1: 1}
 
 

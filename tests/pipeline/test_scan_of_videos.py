@@ -72,7 +72,7 @@ def recorded(path: Path, begin_s: float, **camera: object) -> Path:
 
 def taken_s(file: Path) -> float:
     with Image.open(file) as image:
-        return read_exif(image, image.size, (0.3, 10.0)).time_s
+        return read_exif(image, image.size).time_s
 
 
 def track(path: Path) -> Path:

@@ -18,7 +18,6 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.images import Probe
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ImageTuning
 
 TUNING = Tuning()
 DATA = Path(os.environ.get("TIEGRAPH_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -80,7 +79,7 @@ class Survey:
     def __init__(self, images: Path) -> None:
         self.images = images
         self.names = find_images(images)
-        self.probes: Sequence[Probe] = [probe_image(images / n, ImageTuning()) for n in self.names]
+        self.probes: Sequence[Probe] = [probe_image(images / n) for n in self.names]
 
     def scan(self, settings: ScanSettings | None = None, tuning: Tuning = TUNING, **inputs: Any) -> Scene:
         given = ScanInputs(self.images, **inputs)

@@ -196,7 +196,7 @@ def test_points_are_projected_as_the_program_does(tmp_path: Path, form: str) -> 
     text, pixels = make()
     path = tmp_path / "calibration.dat"  # what stands in it tells, not its name
     path.write_text(text)
-    found = read_camera(str(path), RIG)
+    found = read_camera(str(path))
     assert found.model == model and found.size == SIZE and found.params is not None
     camera = pycolmap.Camera(model=found.model, width=SIZE[0], height=SIZE[1], params=list(found.params))
     mine = np.array([camera.img_from_cam(np.array([x, y, 1.0])) for x, y in zip(X, Y)]).reshape(-1, 2)
@@ -216,13 +216,13 @@ def test_the_binary_of_colmap(tmp_path: Path) -> None:
         pycolmap.Camera(camera_id=3, model="OPENCV", width=64, height=48, params=[60, 61, 32, 24, 0.01, 0, 0, 0])
     )
     model.write_binary(str(tmp_path))
-    found = read_camera(str(tmp_path / "cameras.bin"), RIG)
+    found = read_camera(str(tmp_path / "cameras.bin"))
     assert found.model == "OPENCV" and found.params == (60, 61, 32, 24, 0.01, 0, 0, 0) and found.size == (64, 48)
     whole = (tmp_path / "cameras.bin").read_bytes()
     for wrong in (whole[:-3], whole + b"x", struct.pack("<Q", 0), b"", struct.pack("<QIi", 1, 1, 99) + whole[16:]):
         (tmp_path / "bad.bin").write_bytes(wrong)
         with refused(r"bad.bin: no cameras.bin of COLMAP, or cut off; export"):
-            read_camera(str(tmp_path / "bad.bin"), RIG)
+            read_camera(str(tmp_path / "bad.bin"))
 
 
 def _but(form: str, old: str, new: str) -> str:
@@ -234,7 +234,7 @@ def _but(form: str, old: str, new: str) -> str:
 def test_line_ends_of_windows_are_line_ends(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_bytes(_camchain([np.eye(4)]).replace("\n", "\r\n").encode())
     with refused(r"2 cameras \(cam0, cam1\); keep the one"):
-        read_camera(str(tmp_path / "c.yaml"), RIG)
+        read_camera(str(tmp_path / "c.yaml"))
     assert len(read_rig_file(tmp_path / "c.yaml", RIG)[0].sensors) == 2
 
 
@@ -242,9 +242,9 @@ def test_several_cameras_in_one_file_are_named(tmp_path: Path) -> None:
     one = json.loads(FORMS["brown"][0]()[0])
     (tmp_path / "cameras.json").write_text(json.dumps({"a": one["v2 dji"], "b": one["v2 dji"]}))
     with refused(r"cameras.json: 2 cameras \(a, b\); keep the one"):
-        read_camera(str(tmp_path / "cameras.json"), RIG)
+        read_camera(str(tmp_path / "cameras.json"))
     (tmp_path / "reconstruction.json").write_text(json.dumps([{"cameras": one, "shots": {}}]))
-    assert read_camera(str(tmp_path / "reconstruction.json"), RIG).model == "FULL_OPENCV"
+    assert read_camera(str(tmp_path / "reconstruction.json")).model == "FULL_OPENCV"
 
 
 # --- whole rigs -------------------------------------------------------------------------------------------------------
@@ -394,9 +394,9 @@ def test_one_camera_in_every_form(tmp_path: Path, name: str, content: str | None
 def test_models_of_other_programs(tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(KALIBR.replace("radtan", "equidistant"))
-    assert read_camera(str(path), RIG).model == "OPENCV_FISHEYE"
+    assert read_camera(str(path)).model == "OPENCV_FISHEYE"
     path.write_text(ROS.replace("-0.002, 0.0]", "-0.002, 0.003]"))
-    found = read_camera(str(path), RIG)
+    found = read_camera(str(path))
     assert found.model == "FULL_OPENCV" and found.params == (*PARAMS, 0.003, 0.0, 0.0, 0.0)
 
 
@@ -420,7 +420,7 @@ def test_parameters_of_another_size_are_rescaled_and_of_another_shape_refused(tm
 )
 def test_words_that_cannot_be_meant(tmp_path: Path, text: str, words: str, capsys: pytest.CaptureFixture) -> None:
     with refused(words):
-        read_camera(text, RIG)
+        read_camera(text)
     images = _photographs(tmp_path / "in", count=2)
     assert main(["run", str(images), "-o", str(tmp_path / "out"), "--calibration", text]) == 2
     assert not (tmp_path / "out").exists() and "--camera" in capsys.readouterr().err
@@ -466,7 +466,7 @@ def test_words_that_cannot_be_meant(tmp_path: Path, text: str, words: str, capsy
 def test_files_that_cannot_be_meant(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "camera.x").write_text(text)
     with refused(words, "camera.x"):
-        read_camera(str(tmp_path / "camera.x"), RIG)
+        read_camera(str(tmp_path / "camera.x"))
 
 
 def test_several_cameras_need_a_rig_file_and_photographs_of_others_keep_theirs(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.exif import Exif, orientation_of, read_exif
 from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ImageTuning
 
 HERE = {"lat": 35.5, "lon": 139.25, "alt": 100.0}
 EMPTY = IFDRational(0, 0)
@@ -31,7 +30,7 @@ def facts(gps: dict | None = None, detail: dict | None = None, base: dict | None
     block.get_ifd(0x8769).update(detail or {})
     block.update(base or {})
     image = SimpleNamespace(getexif=lambda: block, size=(4000, 3000), info={"xmp": xmp.encode()})
-    return read_exif(image, image.size, (0.2, 20.0))
+    return read_exif(image, image.size)
 
 
 def place(found: Exif) -> list[float]:
@@ -260,7 +259,7 @@ def test_a_survey_on_both_sides_of_180_degrees_is_one_place(tmp_path: Path, crs:
 def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
     when = {"time": "2023:09:15 10:00:00", "subsec": "25", "offset": "+09:00"}
     exif = exif_of(make="Canon\0", model="EOS", focal_35mm=50, lat=35.5, lon=-120.25, alt=-3, **when)
-    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif), ImageTuning()).exif
+    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif)).exif
     assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)
     assert (found.lat_deg, found.lon_deg, found.height_m) == pytest.approx((35.5, -120.25, -3.0), abs=1e-7)
     assert found.time_s == pytest.approx(1694739600.25) and found.utc  # 01:00:00.25 UTC
@@ -285,7 +284,7 @@ def test_the_focal_length_is_that_of_the_photograph_before_it_was_made_smaller_o
     density = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, **written)
     equivalent = exif_of(focal_35mm=24, **written)
     for name, exif in ("density.jpg", density), ("equivalent.jpg", equivalent):
-        found = probe_image(picture(tmp_path / name, size, exif=exif), ImageTuning()).exif
+        found = probe_image(picture(tmp_path / name, size, exif=exif)).exif
         assert found.focal_px == pytest.approx(4000.0 * smaller, rel=1e-3)
 
 
@@ -296,7 +295,7 @@ def test_unbelievable_exif_counts_as_not_written() -> None:
 
 def test_phone_photographs_of_a_hill() -> None:
     folder = data("oppaiyama", "images")
-    found = probe_image(folder / find_images(folder)[0], ImageTuning()).exif
+    found = probe_image(folder / find_images(folder)[0]).exif
     # iPhone 5s: 29 mm equivalent on 1224 x 918 pixels; about 1040 px from the sensor's data sheet (4.15 mm on 4.89 mm).
     assert 980 < found.focal_px < 1060
     assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0

@@ -20,11 +20,9 @@ from tiegraph.pipeline.georef import _rows
 from tiegraph.project.settings import Settings
 from tiegraph.scan.rigfiles.rigspec import AXES, orient
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.colmapmodel import image_poses, read_model
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import GnssTuning
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
@@ -141,7 +139,7 @@ def test_what_is_left_out_is_not_in_the_way(one_pass: Survey, tmp_path: Path) ->
     clean = scan_gnss(one_pass, tmp_path, table())
     spoilt = scan_gnss(one_pass, tmp_path, table((7, {"lat": 40.19})))
     assert np.allclose(spoilt.world_from_rig[:7, :3, 3], clean.world_from_rig[:7, :3, 3], atol=1e-6)
-    assert len(read_gnss(tmp_path / "g.csv", GnssTuning()).time_s) == 7
+    assert len(read_gnss(tmp_path / "g.csv").time_s) == 7
 
 
 @pytest.mark.parametrize(
@@ -211,8 +209,8 @@ def test_a_crs_without_positions_is_said_and_checked(one_pass: Survey) -> None:
 def test_heights_of_an_aircraft_that_says_so(tmp_path: Path) -> None:
     (tmp_path / "g.csv").write_text("time,lat,lon,height\n0,35.69,139.77,11000\n1,35.691,139.77,-600\n")
     with refused("none of 2 rows"):
-        read_gnss(tmp_path / "g.csv", GnssTuning())
-    assert len(read_gnss(tmp_path / "g.csv", GnssTuning(), (-500.0, 12000.0)).time_s) == 1
+        read_gnss(tmp_path / "g.csv")
+    assert len(read_gnss(tmp_path / "g.csv", (-500.0, 12000.0)).time_s) == 1
     for k in range(3):
         picture(tmp_path / "in" / f"IMG_{k}.jpg", exif=exif_of(lat=35.69 + 1e-4 * k, lon=139.77, alt=11000.0))
     for settings, sigma in ((ScanSettings(), 100.0), (ScanSettings(heights_m=(-500.0, 12000.0)), 10.0)):
@@ -552,7 +550,7 @@ def placed(request):
     given = {"rig": str(CANAL / "rig.toml"), "gnss": CANAL / name, "times": CANAL / "times.csv"}
     scene = scan(CANAL / "images", **given)
     model = read_model(CANAL / "truth" / "colmap")
-    gnss = read_gnss(CANAL / name, ScanTuning().positions.gnss)
+    gnss = read_gnss(CANAL / name)
     rows = PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
     found = georeference(model, scene, GeorefSettings(), Tuning().world, Measurements(rows=rows))
     inside = np.linalg.inv(image_poses(model, scene))[:, :3, 3]

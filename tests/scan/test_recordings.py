@@ -17,18 +17,16 @@ from recording_world import ONE_EACH, Fix, Layout, klv, nest
 from tiegraph.scan.recording import BrokenTrack, OneVideoTrack, Recording, edits, samples, tracks
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.telemetry import entries, factory_lenses, read_trailer
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import open_film, recordings_of
 from tiegraph.scan.videos.videotime import VideoClock, video_clock
 
-PICTURES = PicturesTuning()
 START = datetime(2016, 12, 31, 23, 59, 58, 250000, timezone.utc)  # a leap second came 1.75 s later: UTC has none of it
 BEGAN = pytest.approx(START.timestamp(), abs=1e-3)
 NEAR_DEG = 2e-7  # the format has 1e-7
 
 
 def clock(path: Path, **settings: object) -> VideoClock:
-    return video_clock(path, ScanSettings(**settings), PICTURES)
+    return video_clock(path, ScanSettings(**settings))
 
 
 def payloads(kind: str, fixes: Sequence[Fix], each: int = 10) -> list[bytes]:

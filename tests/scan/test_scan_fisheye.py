@@ -23,7 +23,6 @@ from tiegraph.scene.exif import RigTags, relative_rotation
 from tiegraph.scene.images import probe_image
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ImageTuning, PanoramaTuning
 from tiegraph.scene.wideviews import is_equirectangular, lit
 
 SIDE, FOCAL, CIRCLE = 240, 60.0, 100.0
@@ -421,11 +420,11 @@ def test_black_poles_and_sides_are_masked(tmp_path: Path, mode: str) -> None:
 @pytest.mark.slow
 def test_photographs_of_that_shape_are_no_panoramas(tmp_path: Path) -> None:
     with Image.open(panorama(tmp_path / "p.jpg", 0.5)) as whole:
-        assert is_equirectangular(whole, PanoramaTuning())
+        assert is_equirectangular(whole)
         part = whole.crop((100, 100, 900, 500)).resize((1200, 600))
-        assert not is_equirectangular(part, PanoramaTuning())
-        assert not is_equirectangular(whole.resize((1200, 601)), PanoramaTuning())
-        assert not is_equirectangular(Image.new("RGB", (1200, 600), (90, 150, 220)), PanoramaTuning())
+        assert not is_equirectangular(part)
+        assert not is_equirectangular(whole.resize((1200, 601)))
+        assert not is_equirectangular(Image.new("RGB", (1200, 600), (90, 150, 220)))
 
 
 @pytest.mark.slow
@@ -538,7 +537,7 @@ def test_a_written_rig_of_bands_is_read_back(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_tags_in_every_form(tmp_path: Path, xmp: bytes, tags: RigTags) -> None:
-    assert probe_image(_tiff(tmp_path / "a.tif", xmp), ImageTuning()).exif.rig == tags
+    assert probe_image(_tiff(tmp_path / "a.tif", xmp)).exif.rig == tags
 
 
 # --- lenses ---------------------------------------------------------------------------------------------------------

@@ -22,7 +22,6 @@ from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import _register, opaque
 from tiegraph.scene.images import probe_image
-from tiegraph.scene.tuning import ImageTuning
 
 HEIC = Path(__file__).with_name("orientation6.heic")  # of COLOURS, turned by its container and by the same EXIF
 COLOURS = np.array([[[200, 20, 20], [20, 200, 20], [20, 20, 200]], [[220, 220, 220], [128, 128, 128], [5, 5, 5]]])
@@ -54,7 +53,7 @@ def dng(path: Path, rgb: np.ndarray, orientation: int = 6) -> Path:
 
 
 def probe(path: Path) -> object:
-    return probe_image(path, ImageTuning())
+    return probe_image(path)
 
 
 def prepared(folder: Path) -> np.ndarray:

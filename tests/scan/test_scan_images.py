@@ -16,7 +16,6 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.decoding import EIGHT_BIT, eight_bit
 from tiegraph.scene.images import find_images, probe_image, search_images
 from tiegraph.scene.rig import Sensor, Source
-from tiegraph.scene.tuning import ImageTuning
 
 
 def test_find_images_is_sorted_posix_and_passes_over_hidden_files(tmp_path: Path) -> None:
@@ -46,7 +45,7 @@ def test_no_images_is_an_error_with_a_remedy(tmp_path: Path) -> None:
 
 
 def test_probe_of_a_good_image_is_picklable_and_small(tmp_path: Path) -> None:
-    probe = probe_image(picture(tmp_path / "a.jpg", (640, 480)), ImageTuning())
+    probe = probe_image(picture(tmp_path / "a.jpg", (640, 480)))
     assert (probe.width, probe.height, probe.levels, probe.reason) == (640, 480, EIGHT_BIT, "")
     assert len(pickle.dumps(probe)) < 1000
     assert pickle.loads(pickle.dumps(probe)) == pickle.loads(pickle.dumps(probe)) or np.isnan(probe.exif.focal_px)
@@ -58,7 +57,7 @@ def test_truncated_images_are_found(tmp_path: Path, suffix: str, quality: dict, 
     path = picture(tmp_path / f"a{suffix}", (320, 240), **quality)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
-    assert probe_image(path, ImageTuning()).reason != ""
+    assert probe_image(path).reason != ""
 
 
 def test_files_that_are_no_images_and_unreadable_or_tiny_ones_say_why(tmp_path: Path) -> None:
@@ -73,7 +72,7 @@ def test_files_that_are_no_images_and_unreadable_or_tiny_ones_say_why(tmp_path: 
     reasons = {"zero.jpg": "zero bytes", "text.jpg": "not an image", "head.jpg": " ", "a.jxl": "convert to JPEG",
                "absent.jpg": "cannot be read", "tiny.png": "8 x 6 pixels"}  # fmt: skip
     for name, words in reasons.items():
-        assert words in probe_image(tmp_path / name, ImageTuning()).reason
+        assert words in probe_image(tmp_path / name).reason
 
 
 @pytest.mark.parametrize("low, high", [(0, 1000), (0, 65535), (28_500, 31_000)])
@@ -87,7 +86,7 @@ def test_the_levels_of_deep_images_are_what_most_pixels_use(
     if hot:
         pixels[5, 5], pixels[7, 7] = 65535, 0
     cv2.imwrite(str(tmp_path / "a.png"), pixels)
-    probe = probe_image(tmp_path / "a.png", ImageTuning())
+    probe = probe_image(tmp_path / "a.png")
     assert probe.levels == pytest.approx((low, high), abs=0.003 * (high - low)) and probe.reason == ""
     shown = eight_bit(pixels, probe.levels)[..., :3]
     assert shown.dtype == np.uint8 and len(np.unique(shown)) > 250
@@ -104,7 +103,7 @@ def test_what_storage_keeps_is_passed_over_and_counted_as_are_images_of_other_na
     assert names == [*images, "raw.gif"]
     assert counted.startswith("3 files in 3 folders of the storage skipped, such as ")
     assert odd == "1 files begin like images but have other names, and are skipped: a.jpg_original"
-    reasons = [probe_image(tmp_path / n, ImageTuning()).reason for n in names]
+    reasons = [probe_image(tmp_path / n).reason for n in names]
     assert reasons == ["", "", "", "", ".gif files are not read: convert to JPEG, PNG or TIFF"]
 
 

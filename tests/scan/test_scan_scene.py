@@ -26,7 +26,6 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ImageTuning
 
 
 def reasons(scene: Scene) -> dict[str, str]:
@@ -337,7 +336,7 @@ def test_scene_survives_json(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_four_thousand_images_take_seconds() -> None:
-    probe = probe_image(data("canal_demo", "images", "up", "cam0", "000000.jpg"), ImageTuning())
+    probe = probe_image(data("canal_demo", "images", "up", "cam0", "000000.jpg"))
     from dataclasses import replace
 
     names = [f"{p}/cam{c}/{f:06d}.jpg" for p in ("up", "down") for c in range(6) for f in range(334)]

@@ -15,13 +15,11 @@ import tiegraph
 from said import refused
 from tiegraph.cli.main import main
 from tiegraph.scan.recording import Recording
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.video import sharpest, take_pictures
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene import images as scene_images
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.images import probe_image, search_images
-from tiegraph.scene.tuning import ImageTuning
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -137,7 +135,7 @@ def test_an_image_is_not_taken_by_its_own_word(tmp_path: Path, name: str) -> Non
     data, reason = BOMBS[name]
     (tmp_path / name).write_bytes(data)
     began = time.monotonic()
-    said = probe_image(tmp_path / name, ImageTuning()).reason
+    said = probe_image(tmp_path / name).reason
     assert reason in said if reason else not said
     assert time.monotonic() - began < 20
 
@@ -145,9 +143,9 @@ def test_an_image_is_not_taken_by_its_own_word(tmp_path: Path, name: str) -> Non
 def test_a_black_photograph_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_images, "_BOMB_PX", 10_000)
     (tmp_path / "black.png").write_bytes(png(1000, 1000, bytes(3001 * 1000)))
-    assert probe_image(tmp_path / "black.png", ImageTuning()).reason
+    assert probe_image(tmp_path / "black.png").reason
     Image.new("RGB", (1000, 1000)).save(tmp_path / "black.jpg", quality=50)
-    assert not probe_image(tmp_path / "black.jpg", ImageTuning()).reason
+    assert not probe_image(tmp_path / "black.jpg").reason
 
 
 def test_what_is_no_video_does_not_hold_the_scan(tmp_path: Path) -> None:
@@ -159,5 +157,5 @@ def test_what_is_no_video_does_not_hold_the_scan(tmp_path: Path) -> None:
         (tmp_path / "list.mkv").write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n{address}\n#EXT-X-ENDLIST\n")
         for name in ("pipe.mp4", "empty.mp4", "text.mp4", "list.mkv"):
             out = tmp_path / "out" / name
-            taken = take_pictures(Recording(tmp_path / name), out, sharpest(1.0), VideoClock(), PicturesTuning())
+            taken = take_pictures(Recording(tmp_path / name), out, sharpest(1.0), VideoClock())
             assert ("named pipe" if name == "pipe.mp4" else "decoded") in taken.said

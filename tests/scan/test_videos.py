@@ -19,7 +19,7 @@ from said import refused, says
 from tiegraph.api import Project
 from tiegraph.scan.recording import Recording
 from tiegraph.scan.settings import ScanSettings, video_offsets
-from tiegraph.scan.tuning import MotionTuning, OffsetTuning, PicturesTuning, Tuning
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.videos.video import (
     OpenVideo,
     Pictures,
@@ -35,8 +35,6 @@ from tiegraph.scene.exif import Exif, Taken, exif_of, read_exif
 from tiegraph.scene.images import has_images
 from video_world import Shake, film, pictures
 
-PICTURES = PicturesTuning()
-
 
 def seconds_of(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
     """Ten pictures a second; each second's picture ``sharp`` alone is not blurred, and as bright as its second."""
@@ -49,7 +47,7 @@ def seconds_of(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
 
 
 def take(video: Path, folder: Path, per_second: float) -> Pictures:
-    return take_pictures(Recording(video), folder, sharpest(per_second), VideoClock(), PICTURES)
+    return take_pictures(Recording(video), folder, sharpest(per_second), VideoClock())
 
 
 @pytest.mark.slow
@@ -205,7 +203,7 @@ def stamped(path: Path, created_s: float, wide: bool = False) -> Path:
 
 
 def clock(path: Path, **settings: object) -> VideoClock:
-    return video_clock(path, ScanSettings(**settings), PICTURES)
+    return video_clock(path, ScanSettings(**settings))
 
 
 @pytest.mark.parametrize("wide", [False, True])
@@ -230,9 +228,7 @@ def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> 
 
 def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
     video = stamped(grey(tmp_path / "a.mp4"), START)
-    taken = take_pictures(
-        Recording(video), tmp_path / "out", sharpest(2.0), clock(video, video_offset=("0.25",)), PICTURES
-    )
+    taken = take_pictures(Recording(video), tmp_path / "out", sharpest(2.0), clock(video, video_offset=("0.25",)))
     found = [exif(f) for f in sorted((tmp_path / "out").glob("*.jpg"))]
     assert [e.time_s for e in found] == pytest.approx([START + 0.25 + s for s in taken.stamps_s], abs=1e-6)
     assert all(e.utc for e in found) and len(found) == 4
@@ -241,7 +237,7 @@ def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
 
 def exif(file: Path) -> Exif:
     with Image.open(file) as image:
-        return read_exif(image, image.size, (0.3, 10.0))
+        return read_exif(image, image.size)
 
 
 @pytest.mark.parametrize("taken", [Taken(-41.4247244, 2.2341561, -3.21, 11.5, time_s=START + 0.123456, utc=True),
@@ -280,7 +276,7 @@ def test_subtitles_beside_a_video_come_first_and_others_are_said(tmp_path: Path)
     found = clock(video, video_offset=("-7200.0",))
     assert found.start_s == pytest.approx(seconds("2024-05-01T10:00:00.774808"), abs=1e-6) and not found.utc
     assert "2 of 2 rows have a position" in found.note and "own clock and zone" in found.note
-    take_pictures(Recording(video), tmp_path / "out", sharpest(2.0), found, PICTURES)
+    take_pictures(Recording(video), tmp_path / "out", sharpest(2.0), found)
     first = exif(min((tmp_path / "out").glob("*.jpg")))
     assert first.lat_deg == pytest.approx(41.42473, abs=1e-5) and 132 < first.height_m < 134
     (tmp_path / "DJI_0001.SRT").write_text("1\n00:00:00,000 --> 00:00:02,000\nA river, in 2024.\n")
@@ -288,13 +284,10 @@ def test_subtitles_beside_a_video_come_first_and_others_are_said(tmp_path: Path)
     assert other.start_s == START and "no times or positions of a DJI drone in them: not used" in other.note
 
 
-OFFSET = OffsetTuning()
-
-
 def curve(shake: Shake, fps: float, length_s: float, begin_s: float, **camera: object) -> MotionCurve:
     """What a camera that began at a time sees, by its own stamps."""
     stamps = np.arange(round(length_s * fps)) / fps
-    return motion_curve(zip(stamps, pictures(shake, begin_s + stamps, **camera)), MotionTuning())
+    return motion_curve(zip(stamps, pictures(shake, begin_s + stamps, **camera)))
 
 
 def drawn(seed: int, begin_s: float, mix: np.ndarray, noise_px: float = 1.0, fps: float = 20.0) -> MotionCurve:
@@ -315,7 +308,7 @@ def test_cameras_that_look_elsewhere_at_another_rate_are_aligned_to_a_millisecon
     shake = Shake.of(3)
     first = curve(shake, 30.0, 6.0, 0.0)
     second = curve(shake, 25.0, 6.0, 1.2137, turn_deg=(10, 70, 20), focal_px=110.0)
-    found = find_offset(first, second, OFFSET)
+    found = find_offset(first, second)
     assert not found.refused and abs(found.seconds - 1.2137) < 1e-3
     assert 1e-5 < found.sigma_s < 2e-3 and abs(found.shared_s - 4.75) < 0.1
 
@@ -325,7 +318,7 @@ def test_cameras_that_look_elsewhere_at_another_rate_are_aligned_to_a_millisecon
 def test_offsets_and_their_sigmas(begin_s: float) -> None:
     errors, sigmas = [], []
     for seed in range(4):
-        found = find_offset(drawn(2 * seed, 0.0, MIX[0]), drawn(2 * seed + 1, begin_s, MIX[1]), OFFSET)
+        found = find_offset(drawn(2 * seed, 0.0, MIX[0]), drawn(2 * seed + 1, begin_s, MIX[1]))
         assert not found.refused
         errors.append(found.seconds - begin_s)
         sigmas.append(found.sigma_s)
@@ -336,15 +329,15 @@ def test_offsets_and_their_sigmas(begin_s: float) -> None:
 @pytest.mark.slow
 def test_videos_of_different_motion_are_refused() -> None:
     other = MotionCurve(np.arange(400) / 20, np.random.default_rng(5).normal(0, 1, (400, 4)).cumsum(axis=0))
-    assert "stands out" in find_offset(drawn(0, 0.0, MIX[0]), other, OFFSET).refused
+    assert "stands out" in find_offset(drawn(0, 0.0, MIX[0]), other).refused
     still = MotionCurve(np.arange(400) / 20, np.zeros((400, 4)))
-    assert "stands out" in find_offset(drawn(0, 0.0, MIX[0]), still, OFFSET).refused
-    assert "stands out" in find_offset(still, still, OFFSET).refused
+    assert "stands out" in find_offset(drawn(0, 0.0, MIX[0]), still).refused
+    assert "stands out" in find_offset(still, still).refused
     short = drawn(0, 0.0, MIX[0])
     few = MotionCurve(short.stamp_s[:10], short.moved_px[:10])
-    assert "10 frames are too few" in find_offset(short, few, OFFSET).refused
+    assert "10 frames are too few" in find_offset(short, few).refused
     brief = MotionCurve(short.stamp_s / 25, short.moved_px)
-    assert "shorter than the 2 s" in find_offset(brief, brief, OFFSET).refused
+    assert "shorter than the 2 s" in find_offset(brief, brief).refused
 
 
 @pytest.mark.slow
@@ -354,7 +347,7 @@ def test_a_clock_that_jumps_is_refused(late_s: float, word: str) -> None:
     jumped = drawn(1, 2.0 + late_s, MIX[1])
     half = len(whole.stamp_s) // 2
     moved = np.vstack([whole.moved_px[:half], jumped.moved_px[half:] + whole.moved_px[half] - jumped.moved_px[half]])
-    found = find_offset(drawn(0, 0.0, MIX[0]), MotionCurve(whole.stamp_s, moved), OFFSET)
+    found = find_offset(drawn(0, 0.0, MIX[0]), MotionCurve(whole.stamp_s, moved))
     assert word in found.refused
 
 
@@ -365,8 +358,8 @@ def test_kitti_as_two_videos(tmp_path) -> None:
     both = []
     for side, begin in (("image_l", 0), ("image_r", 7)):
         files = sorted((folder / side).iterdir())[begin:]
-        both.append(motion_curve(((k / 10, cv2.imread(str(f))) for k, f in enumerate(files)), MotionTuning()))
-    found = find_offset(*both, OFFSET)
+        both.append(motion_curve(((k / 10, cv2.imread(str(f))) for k, f in enumerate(files))))
+    found = find_offset(*both)
     assert abs(found.seconds - 0.7) < 0.008 and 0.001 < found.sigma_s < 0.02
 
 

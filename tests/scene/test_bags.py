@@ -26,7 +26,6 @@ from tiegraph.scan.videos.bagfilms import KINDS, bgr, unread
 from tiegraph.scene.bags import is_bag, open_bag, shown, split_topics
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.posefile import read_poses
-from tiegraph.scene.tuning import GnssTuning
 
 COUNT = 5
 TIMES = START_S + 0.123456789 + 0.5 * np.arange(COUNT)
@@ -50,7 +49,7 @@ def odometry(topic: str = "/odom") -> list[world.Row]:
 @pytest.mark.parametrize("form", FORMS)
 def test_fixes_have_the_time_of_their_header_and_the_sigmas_of_their_covariance(tmp_path: Path, form: str) -> None:
     rows = fixes(sigma_m=(0.02, 0.03, 0.05)) + [world.fix("/gps/fix", TIMES[0] + 0.1, (0, 0, 0), status=-1)]
-    found = read_gnss(world.bag(tmp_path, form, rows), GnssTuning())
+    found = read_gnss(world.bag(tmp_path, form, rows))
     assert np.array_equal(found.lat_lon_height, LLH)
     np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.sigma_m, np.tile([0.02, 0.03, 0.05], (COUNT, 1)))
@@ -60,7 +59,7 @@ def test_fixes_have_the_time_of_their_header_and_the_sigmas_of_their_covariance(
 def test_a_covariance_that_is_not_known_gives_no_sigma_and_a_header_without_a_stamp_the_receipt(tmp_path: Path) -> None:
     rows = [world.fix("/fix", 0.0, p) for p in LLH]
     rows = [world.Row(r.topic, r.kind, t, r.built) for r, t in zip(rows, TIMES)]
-    found = read_gnss(world.bag(tmp_path, "ros1", rows), GnssTuning())
+    found = read_gnss(world.bag(tmp_path, "ros1", rows))
     assert np.isnan(found.sigma_m).all()
     np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
 
@@ -76,7 +75,7 @@ def test_a_covariance_that_is_not_known_gives_no_sigma_and_a_header_without_a_st
     ],
 )
 def test_compressed_bags_are_read(tmp_path: Path, form: str, packed: tuple) -> None:
-    found = read_gnss(world.bag(tmp_path, form, fixes(), packed=packed), GnssTuning())
+    found = read_gnss(world.bag(tmp_path, form, fixes(), packed=packed))
     assert np.array_equal(found.lat_lon_height, LLH)
 
 
@@ -86,7 +85,7 @@ def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
     more = [world.fix("/rtk/fix", t, p + [0, 0, 1]) for t, p in zip(TIMES, LLH)]
     path = world.bag(tmp_path, form, fixes() + more + odometry())
     for name in ("/rtk/fix", "rtk/fix"):
-        assert np.array_equal(read_gnss(Path(f"{path}:{name}"), GnssTuning()).lat_lon_height, LLH + [0, 0, 1])
+        assert np.array_equal(read_gnss(Path(f"{path}:{name}")).lat_lon_height, LLH + [0, 0, 1])
     for topic, words in (
         ("", r"2 topics of that kind: /gps/fix \(sensor_msgs/NavSatFix, 5\), /rtk/fix \(.*5\): name one"),
         (":/rkt/fix", r"has no topic /rkt/fix of sensor_msgs/NavSatFix; 2 topics of that kind"),
@@ -94,7 +93,7 @@ def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
         (":/gps/fix,/rtk/fix", "name one of them, such as"),
     ):
         with refused(words):
-            read_gnss(Path(f"{path}{topic}"), GnssTuning())
+            read_gnss(Path(f"{path}{topic}"))
 
 
 @pytest.mark.parametrize(
@@ -107,7 +106,7 @@ def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
 )
 def test_bags_without_positions_say_what_is_there(tmp_path: Path, rows: list[world.Row], words: str) -> None:
     with refused(words):
-        read_gnss(world.bag(tmp_path, "mcap", rows), GnssTuning())
+        read_gnss(world.bag(tmp_path, "mcap", rows))
 
 
 # --- poses ----------------------------------------------------------------------------------------------------------
@@ -228,7 +227,7 @@ def cut(path: Path, form: str) -> Path:
 def test_bags_that_are_cut_off_say_how_they_are_mended(tmp_path: Path, form: str, tool: str) -> None:
     path = cut(world.bag(tmp_path, form, [r for k in range(30) for r in fixes(f"/gps{k}/fix")]), form)
     with refused(f"run.*: cannot be read as a ROS bag .*`{tool}"):
-        read_gnss(Path(f"{path}:/gps0/fix"), GnssTuning())
+        read_gnss(Path(f"{path}:/gps0/fix"))
 
 
 def test_a_count_of_messages_that_are_not_there_is_no_crash(tmp_path: Path) -> None:
@@ -237,10 +236,10 @@ def test_a_count_of_messages_that_are_not_there_is_no_crash(tmp_path: Path) -> N
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = '/gps/fix')")
     with refused(r"should have /gps/fix \(sensor_msgs/NavSatFix, 5\), and has none"):
-        read_gnss(folder, GnssTuning())
+        read_gnss(folder)
     (folder / "metadata.yaml").write_text("nothing: 1")
     with refused("cannot be read as a ROS bag .*`ros2 bag reindex` may repair it"):
-        read_gnss(folder, GnssTuning())
+        read_gnss(folder)
 
 
 def unindexed(path: Path) -> None:
@@ -263,14 +262,14 @@ def test_files_that_are_no_bags_are_named(tmp_path: Path) -> None:
         ("two", "two: cannot be read .*missing"),
     ):
         with refused(words):
-            read_gnss(tmp_path / name, GnssTuning())
+            read_gnss(tmp_path / name)
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = world.bag(tmp_path, "ros1", fixes())
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(EngineMissing, match=r"run.bag: .*pip install 'tiegraph\[ros\]'"):
-        read_gnss(path, GnssTuning())
+        read_gnss(path)
 
 
 # --- names ----------------------------------------------------------------------------------------------------------

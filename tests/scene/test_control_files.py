@@ -13,7 +13,7 @@ from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.names import found_by
 from tiegraph.scene.rig import Rig, Sensor, Source, prepared_pixel
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.tuning import ControlTuning
+from tiegraph.scene.targets import BAR_SIGMA_M
 
 import pycolmap  # isort: skip
 from pathlib import Path
@@ -186,7 +186,7 @@ def written(folder: Path, text: str | bytes, name: str = "gcp.csv") -> Path:
 
 
 def control(folder: Path, text: str | bytes, name: str = "gcp.csv") -> GcpFile:
-    return read_gcps(written(folder, text, name), ControlTuning())
+    return read_gcps(written(folder, text, name))
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_two_tables_in_one_file(tmp_path: Path, text: str) -> None:
 
 def test_two_files_in_either_order(tmp_path: Path) -> None:
     points, marks = written(tmp_path, POINTS, "points.csv"), written(tmp_path, MARKS, "marks.csv")
-    for found in (read_gcps(points, ControlTuning(), marks), read_gcps(marks, ControlTuning(), points)):
+    for found in (read_gcps(points, marks), read_gcps(marks, points)):
         same(found)
         assert (found.path, found.of_marks) == (points, marks)
 
@@ -246,7 +246,7 @@ def test_targets_need_no_marks_and_bars_stand_in_a_table_of_their_own(tmp_path: 
     first, second = found.bars
     assert first.ends == ("tag36h11:3", "4x4_50:7")
     assert (first.length_m, first.sigma_m) == pytest.approx((1.2005, 5e-5))
-    assert second.check and second.sigma_m == ControlTuning().bar_sigma_m and second.line == 6
+    assert second.check and second.sigma_m == BAR_SIGMA_M and second.line == 6
     alone = control(tmp_path, "from,to,length\nA,B,1.5\nname,image,px,py\nA,1.jpg,5,6\nB,1.jpg,7,6\n")
     assert not alone.points and alone.bars[0].length_m == 1.5 and len(alone.marks) == 2
 
@@ -338,4 +338,4 @@ def test_control_files_that_cannot_be_meant_say_where(tmp_path, text: str | byte
 )
 def test_two_files_that_do_not_go_together(tmp_path, text: str, more: str, words: str) -> None:
     with refused(words):
-        read_gcps(written(tmp_path, text), ControlTuning(), written(tmp_path, more, "marks.csv"))
+        read_gcps(written(tmp_path, text), written(tmp_path, more, "marks.csv"))

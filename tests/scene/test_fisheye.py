@@ -8,10 +8,7 @@ import pytest
 from PIL import Image
 
 from tiegraph.scene.rig import LensView, Rig, Sensor, Source, rig_from_dict, rig_to_dict
-from tiegraph.scene.tuning import FisheyeTuning
 from tiegraph.scene.wideviews import image_circles, lit, render_lens_view, seen_half_deg
-
-TUNING = FisheyeTuning()
 
 
 def blots(width: int, height: int, seed: int = 0) -> np.ndarray:
@@ -36,7 +33,7 @@ def lit_by(pixels: np.ndarray, circle: tuple[float, float, float], blur_px: floa
 def test_the_circle_of_a_lens_is_found(circle: tuple[float, float, float]) -> None:
     picture = lit_by(blots(640, 640), circle)
     picture[:, 40:110] = lit_by(blots(640, 640) // 12, circle)[:, 40:110]  # a dark tree at the rim
-    found = image_circles(Image.fromarray(picture), TUNING)
+    found = image_circles(Image.fromarray(picture))
     assert len(found) == 1
     assert np.abs(np.subtract(found[0], circle)).max() < 0.01 * circle[2]
 
@@ -45,11 +42,11 @@ def test_the_circle_of_a_lens_is_found(circle: tuple[float, float, float]) -> No
 def test_two_circles_side_by_side_are_found() -> None:
     left, right = (252.0, 249.0, 240.0), (248.0, 251.0, 241.0)
     halves = [lit_by(blots(500, 500, seed), circle) for seed, circle in enumerate((left, right))]
-    found = image_circles(Image.fromarray(np.hstack(halves)), TUNING)
+    found = image_circles(Image.fromarray(np.hstack(halves)))
     assert len(found) == 2
     assert np.allclose(found, [left, (right[0] + 500, *right[1:])], atol=2.4)
     panorama = Image.fromarray(blots(1000, 500))
-    assert image_circles(panorama, TUNING) == ()
+    assert image_circles(panorama) == ()
 
 
 @pytest.mark.slow
@@ -59,7 +56,7 @@ def test_nothing_else_has_a_circle() -> None:
     lamp = lit_by(blots(640, 480), (320.0, 240.0, 60.0))  # a spot of light in the night
     half = lit_by(blots(640, 480), (40.0, 240.0, 200.0))  # a round thing at the border
     for picture in (blots(640, 480), frame, lamp, half, np.zeros((480, 640, 3), np.uint8)):
-        assert image_circles(Image.fromarray(picture), TUNING) == ()
+        assert image_circles(Image.fromarray(picture)) == ()
 
 
 def fisheye(focal: float = 100.0, side: int = 400) -> pycolmap.Camera:

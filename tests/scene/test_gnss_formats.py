@@ -18,7 +18,6 @@ from tiegraph.errors import InputError
 from tiegraph.scene.gnss import FORMATS, read_gnss
 from tiegraph.scene.gnss.fixes import Gnss, on_clock_of
 from tiegraph.scene.times import gps_from_utc, leap_seconds, utc_from_gps
-from tiegraph.scene.tuning import GnssTuning
 
 NOON = 1714564800.0  # 2024-05-01 12:00:00 UTC, which is second 302418 of GPS week 2312
 WEEK, SECOND = 2312, 302418
@@ -32,7 +31,7 @@ IMAGES = [f"DJI_{k + 7:04d}.JPG" for k in range(COUNT)]
 def read(folder: Path, data: str | bytes, name: str = "positions.txt") -> Gnss:
     path = folder / name
     path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return read_gnss(path, GnssTuning())
+    return read_gnss(path)
 
 
 def same_places(found: Gnss, off: np.ndarray = MM, llh: np.ndarray = LLH) -> None:

@@ -23,7 +23,6 @@ from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.evidence import LIMIT, Statement, contradictions, fits_better, mostly_more, table, trend
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.tuning import TrendTuning
 
 
 def opened(path):
@@ -227,9 +226,6 @@ def test_a_database_without_room_for_its_copy_stays(tmp_path, monkeypatch):
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["a.db"]
 
 
-TUNING = TrendTuning()
-
-
 def process(rng: np.random.Generator, count: int, r: float) -> np.ndarray:
     """First-order noise (count,) of sigma 1 and correlation r."""
     out = rng.standard_normal(count)
@@ -242,7 +238,7 @@ def process(rng: np.random.Generator, count: int, r: float) -> np.ndarray:
 @pytest.mark.parametrize(("count", "r"), [(12, 0.0), (12, 0.6), (30, 0.0), (30, 0.6), (100, 0.8)])
 def test_noise_is_no_trend(count: int, r: float) -> None:
     rng = np.random.default_rng(count)
-    alarms = sum(trend(process(rng, count, r), TUNING) is not None for _ in range(120))
+    alarms = sum(trend(process(rng, count, r)) is not None for _ in range(120))
     assert alarms <= 1  # 0.1 % by construction, where the correlation is known
 
 
@@ -251,9 +247,9 @@ def test_noise_is_no_trend(count: int, r: float) -> None:
 def test_what_is_larger_than_the_noise_is_found_by_its_form(form: str) -> None:
     rng, x = np.random.default_rng(3), np.linspace(-1, 1, 40)
     shape = {"line": x, "curve": 1.5 * (x**2 - 1 / 3), "step": np.sign(x - 0.2)}[form]
-    found = [trend(0.7 * shape + 0.05 * process(rng, 40, 0.5), TUNING) for _ in range(20)]
+    found = [trend(0.7 * shape + 0.05 * process(rng, 40, 0.5)) for _ in range(20)]
     assert sum(f is not None and f.form == form for f in found) >= 18
-    assert not any(trend(0.3 * shape + process(rng, 40, 0.5), TUNING) for _ in range(20))  # below the noise: nothing
+    assert not any(trend(0.3 * shape + process(rng, 40, 0.5)) for _ in range(20))  # below the noise: nothing
     size = {"line": 1.4, "curve": 1.05, "step": 1.4}[form]
     assert all(f.size == pytest.approx(size, rel=0.2) for f in found if f is not None and f.form == form)
 
@@ -264,7 +260,7 @@ def test_a_step_that_the_fit_has_followed_by_turning_is_found() -> None:
     found = []
     for _ in range(20):
         y = np.where(x > 0, 0.4, 0.0) + 0.02 * rng.standard_normal(20)
-        found.append(trend(y - np.polyval(np.polyfit(x, y, 1), x), TUNING, 3))
+        found.append(trend(y - np.polyval(np.polyfit(x, y, 1), x), 3))
     assert all(f is not None and f.form == "step" for f in found)
     assert all(f.size == pytest.approx(0.4, abs=0.1) and 0.4 < f.at < 0.6 for f in found if f is not None)
 
@@ -273,15 +269,15 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     rng, x = np.random.default_rng(4), np.linspace(-1, 1, 30)
     bad = 0.02 * rng.standard_normal(30)
     bad[4] = 5.0
-    assert trend(bad, TUNING) is None and trend(np.zeros(30), TUNING) is None and trend(x[:5], TUNING) is None
-    line = trend(0.7 * x + 0.02 * rng.standard_normal(30), TUNING)
+    assert trend(bad) is None and trend(np.zeros(30)) is None and trend(x[:5]) is None
+    line = trend(0.7 * x + 0.02 * rng.standard_normal(30))
     assert line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
     assert line.start == pytest.approx(-0.7, abs=0.05) and line.end == pytest.approx(0.7, abs=0.05)
-    step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30), TUNING)
+    step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30))
     assert step.text().startswith("jump by +0.") and step.at == 0.5
-    off = trend(0.5 + 0.02 * rng.standard_normal(30), TUNING, offset=True)
+    off = trend(0.5 + 0.02 * rng.standard_normal(30), offset=True)
     assert off.text() == "stand off by +0.5 m all the time"
-    assert trend(0.5 + 0.02 * rng.standard_normal(30), TUNING) is None
+    assert trend(0.5 + 0.02 * rng.standard_normal(30)) is None
 
 
 @pytest.mark.slow
@@ -293,8 +289,8 @@ def test_values_that_are_not_equally_good_count_by_their_sigmas() -> None:
     jump = np.where(np.arange(count) >= 25, 0.3, 0.0)
     for _ in range(60):
         noise = sigma * np.where(sigma > 0.1, process(rng, count, 0.9), rng.standard_normal(count))
-        alarms += trend(noise, TUNING, 4, sigma=sigma) is not None
-        found.append(trend(noise + jump, TUNING, 4, sigma=sigma))
+        alarms += trend(noise, 4, sigma=sigma) is not None
+        found.append(trend(noise + jump, 4, sigma=sigma))
     assert alarms <= 1
     steps = [f for f in found if f is not None]
     assert len(steps) >= 54 and all(f.form == "step" and f.size == pytest.approx(0.3, abs=0.05) for f in steps)

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from said import refused, says
-from tiegraph.scene.gcp import GcpFile, read_gcps, read_points
+from tiegraph.scene.gcp import SIGMA_M, GcpFile, read_gcps, read_points
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import Gnss
 from tiegraph.scene.pairs import pair_lines
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.table import read_table
-from tiegraph.scene.tuning import ControlTuning, GnssTuning
 
 LLH = [[46.5, 126.25, 539.9], [46.50001, 126.25002, 540.4]]  # what all tables below say, where they are of degrees
 EAST_NORTH = [[288991.4543, 5153277.9239], [288993.0276, 5153278.9816]]  # the same in EPSG:32652
@@ -29,16 +28,16 @@ OFF = np.array([2e-9, 2e-9, 1e-3])
 def gnss(folder: Path, text: str | bytes) -> Gnss:
     path = folder / "g.txt"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return read_gnss(path, GnssTuning())
+    return read_gnss(path)
 
 
 def control(folder: Path, text: str | bytes, marks: str = "") -> GcpFile:
     path = folder / "c.txt"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     if not marks:
-        return read_points(path, ControlTuning())
+        return read_points(path)
     (folder / "m.txt").write_text(marks)
-    return read_gcps(path, ControlTuning(), folder / "m.txt")
+    return read_gcps(path, folder / "m.txt")
 
 
 GEOGCS = (
@@ -247,7 +246,7 @@ def test_tables_that_are_no_files(tmp_path: Path, what: str) -> None:
     path = {"folder": tmp_path, "pipe": tmp_path / "p", "device": Path("/dev/zero"), "absent": tmp_path / "no"}[what]
     if what == "pipe":
         os.mkfifo(path)
-    for read in (partial(read_gnss, tuning=GnssTuning()), partial(read_table, purpose="GNSS file", example="time,lat")):
+    for read in (read_gnss, partial(read_table, purpose="GNSS file", example="time,lat")):
         with refused("is a folder|is no plain file|cannot be read", str(path), "give the GNSS file"):
             read(path)
 
@@ -259,8 +258,8 @@ CONTROL = "name,x,y,z,image,px,py\nA,1,2,3,a.jpg,4,5\n\n# next\nB,1,2,WRONG,a.jp
 @pytest.mark.parametrize(
     "read, text",
     [
-        (partial(read_gnss, tuning=GnssTuning()), "time,lat,lon,height\n1,35,139,4\n\n# a pause\n2,35,139,4,5 WRONG\n"),
-        (partial(read_gcps, tuning=ControlTuning()), CONTROL),
+        (read_gnss, "time,lat,lon,height\n1,35,139,4\n\n# a pause\n2,35,139,4,5 WRONG\n"),
+        (read_gcps, CONTROL),
         (read_poses, "# time x y z qx qy qz qw\n1 0 0 0 0 0 0 1\n\n2 1 0 0 0 0 0 WRONG\n"),
         (pair_lines, "a.jpg b.jpg\n\n# and\na.jpg b.jpg WRONG\n"),
     ],
@@ -275,7 +274,7 @@ def test_every_table_counts_lines_as_an_editor_does(tmp_path: Path, read: Callab
 def test_so_does_the_list_of_odm(tmp_path: Path) -> None:
     (tmp_path / "gcp_list.txt").write_text("EPSG:32654\n\n# two\n1 2 3 4 5 a.jpg\n1 2 3 WRONG 5 b.jpg\n")
     with refused(r"gcp_list.txt, line 5: 'WRONG' is no number"):
-        read_gcps(tmp_path / "gcp_list.txt", ControlTuning())
+        read_gcps(tmp_path / "gcp_list.txt")
 
 
 # --- control points -------------------------------------------------------------------------------------------------
@@ -329,7 +328,7 @@ POINTS = {
 def test_lists_of_points(tmp_path: Path, name: str) -> None:
     point = control(tmp_path, POINTS[name]).points[0]
     assert point.name.replace("P1", "P 1") == "P 1" and point.xyz == pytest.approx(IN_GRID, abs=1e-4)
-    assert point.sigma_m == ((0.02, 0.02, 0.03) if "Pix4D" in name else ControlTuning().sigma_m)
+    assert point.sigma_m == ((0.02, 0.02, 0.03) if "Pix4D" in name else SIGMA_M)
 
 
 @pytest.mark.parametrize(
@@ -383,7 +382,7 @@ def test_bars_say_their_columns(tmp_path: Path) -> None:
     text = "from,to,length_mm,datum\nA,B,1200.5,x\n\nname,image,px,py\nA,1.jpg,5,6\nB,1.jpg,7,6\n"
     path = tmp_path / "c.txt"
     path.write_text(text)
-    found = read_gcps(path, ControlTuning())
+    found = read_gcps(path)
     assert found.bars[0].length_m == pytest.approx(1.2005)
     (said,) = (n for n in found.notes if "length" in n)
     assert said.endswith(

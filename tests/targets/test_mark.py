@@ -19,7 +19,6 @@ from tiegraph.pipeline.mark import ChangedMeanwhile, Marking, open_marking
 from tiegraph.pipeline.pages import MarkServer
 from tiegraph.project.settings import Settings
 from tiegraph.scene.gcp import read_gcps
-from tiegraph.scene.tuning import ControlTuning
 
 pytestmark = pytest.mark.slow
 NAMES = ["A", "B", "C", "D", "E 5"]
@@ -66,7 +65,7 @@ def test_after_three_points_the_rest_is_predicted_and_marks_become_a_file(folder
     worse = {r["image"]: r["off_px"] for r in session.state()["points"][0]["images"]}
     assert 1 < worse[0] < 6 and session.state()["points"][0]["rms_px"] > 1, "a residual after each mark"
     session.set(0, 0, None)
-    found = read_gcps(tmp_path / "gcp_list.txt", ControlTuning())
+    found = read_gcps(tmp_path / "gcp_list.txt")
     assert found.crs == "EPSG:32654" and len(found.marks) == 8 and found.marks[0].image == "002.png"
     assert found.marks[0].xy == pytest.approx(session.marks[0, 2], abs=6e-4)
     again = opened(folder, tmp_path)
@@ -89,7 +88,7 @@ def test_what_a_gcp_list_cannot_hold_a_csv_can(folder: Path, tmp_path: Path) -> 
     assert not session.marks and not (tmp_path / "gcp_list.txt").exists()
     session = opened(folder, tmp_path, "marks.csv")
     session.set(4, 0, (5.0, 6.0))
-    found = read_gcps(tmp_path / "marks.csv", ControlTuning())
+    found = read_gcps(tmp_path / "marks.csv")
     assert len(found.points) == 5 and found.marks[0].name == "E 5" and found.marks[0].xy == (5.0, 6.0)
 
 

@@ -55,7 +55,6 @@ from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigfiles.rigspec import SensorSpec, rig_config, rig_toml
-from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.composed import WIDE
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
@@ -141,7 +140,7 @@ def _read_folder(
     paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
-        probes = _map(pool, reporter, probe_image, paths, tunings.scene.images)
+        probes = _map(pool, reporter, probe_image, paths)
     usable = usable_images(names, probes, report)
     layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
     report.notes.append(
@@ -166,7 +165,7 @@ def _read_folder(
         )
         for f, model, own, up in zip(layout.folders, models, owned, upright)
     )
-    instants = _instants(names, owned, sequence, settings.frames, tuning)
+    instants = _instants(names, owned, sequence, settings.frames)
     files = tuple(
         _File(path=paths[k], camera=c, instant=instants[k], name=names[k], upright=upright[c], levels=probes[k].levels)
         for c, own in enumerate(owned)
@@ -206,13 +205,13 @@ def _models(words: Sequence[str], names: Sequence[str]) -> list[str]:
 
 
 def _instants(
-    names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str, tuning: ScanTuning
+    names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str
 ) -> dict[int, int]:
     """The number of the instant of each image. Raises InputError if the names of a rig do not give it."""
     if len(owned) == 1:
         return {k: number for number, k in enumerate(owned[0])}
     for kind in ("name", "number") if how == "auto" else (how,):
-        label = _labels(names, owned, sequence, kind, tuning)
+        label = _labels(names, owned, sequence, kind)
         cameras = Counter(one for images in owned for one in {label[k] for k in images})
         if how != "auto" or max(cameras.values()) > 1:
             break
@@ -231,14 +230,14 @@ def _instants(
 
 
 def _labels(
-    names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str, tuning: ScanTuning
+    names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str
 ) -> dict[int, tuple[str, str]]:
     """Pass and frame of each image, as ``scan`` matches them."""
     out: dict[int, tuple[str, str]] = {}
     for one in sorted(set(sequence.values())):
         own = {c: [k for k in images if sequence[k] == one] for c, images in enumerate(owned)}
         stems = {c: [Path(names[k]).stem for k in images] for c, images in own.items() if images}
-        keys, _ = match_frames(stems, how, tuning.frames)
+        keys, _ = match_frames(stems, how)
         out |= {k: (one, key) for c in stems for k, key in zip(own[c], keys[c])}
     return out
 

@@ -26,7 +26,6 @@ from tiegraph.scan.prepare import crop_camera
 from tiegraph.scan.rigfiles.rigfaults import SIGMA_DEG, SIGMA_M, lens_fault
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file
 from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
-from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.colmapmodel import model_rigs, sensor_id
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
@@ -134,7 +133,7 @@ def _constants(folder: Path, receipts: Receipts) -> Tunings:
 
 
 def with_camera(
-    given: Sensor, found: pycolmap.Camera | None, held: bool, sigmas: Sequence[Sequence], tuning: CameraTuning
+    given: Sensor, found: pycolmap.Camera | None, held: bool, sigmas: Sequence[Sequence]
 ) -> tuple[Sensor, list[str]]:
     """A sensor with the camera of the model, and notes.
 
@@ -160,7 +159,7 @@ def with_camera(
         return given, [] if _same(camera, given.camera) else [text]
     left, top, right, bottom = (0, 0, 0, 0) if source is None else source.crop_px
     camera, said = crop_camera(camera, -left, -top, -right, -bottom), []
-    if wrong := lens_fault(camera, tuning):
+    if wrong := lens_fault(camera):
         said = [f"{given.name}: only the focal length is written, because {wrong}"]
         model = "SIMPLE_RADIAL_FISHEYE" if "FISHEYE" in camera.model.name else "SIMPLE_RADIAL"
         size = camera.width, camera.height
@@ -276,7 +275,7 @@ def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
     first = 1 + run.scene.first_sensor(index)
     out = []
     for key, (given, new) in enumerate(zip(run.scene.rigs[index].sensors, found.sensors), start=first):
-        sensor, said = with_camera(given, new.camera, key in held, run.rows(INTERIOR_TABLE), run.tuning.scan.rig.camera)
+        sensor, said = with_camera(given, new.camera, key in held, run.rows(INTERIOR_TABLE))
         out.append(sensor)
         run.said += said
     return out
@@ -292,7 +291,7 @@ def _with_hanging(run: FoundRun, found: Rig, whole: Rig) -> Rig:
         hung = hung.scaled(found.units(given))
     sensors = []
     for sensor in hung.sensors:
-        with_file, said = with_camera(sensor, sensor.camera, True, (), run.tuning.scan.rig.camera)
+        with_file, said = with_camera(sensor, sensor.camera, True, ())
         sensors.append(with_file)
         run.said += said
     run.said.append(f"{found.name}: {', '.join(s.name for s in sensors)} depend on it: poses and lenses are as given")

@@ -142,7 +142,7 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     """All rows of a GNSS file with times: a receiver writes more often than cameras fire."""
     if scene.prior != "gnss" or scene.origin is None or run.inputs.gnss is None:
         return None
-    gnss = read_gnss(run.inputs.gnss, run.settings.tuning.scan.positions.gnss, run.settings.scan.heights_m)
+    gnss = read_gnss(run.inputs.gnss, run.settings.scan.heights_m)
     if gnss.names:
         return None
     gnss = on_clock_of(gnss, scene.time_s)

@@ -79,7 +79,7 @@ def _trajectory(given: Inputs) -> Path | None:
 def _read_settings(settings: Settings) -> None:
     """Read the files of settings that need no image, for the errors this raises: most stages read them hours later."""
     if settings.georef.gcp is not None:
-        read_gcps(settings.georef.gcp, settings.tuning.scene.control, settings.georef.marks)
+        read_gcps(settings.georef.gcp, settings.georef.marks)
     elif settings.georef.marks is not None:
         raise InputError(f"--marks {settings.georef.marks}: marks of no points; give the points by --gcp")
     if settings.candidates.pairs_file is not None:
@@ -103,14 +103,14 @@ def _read_inputs(run: Run) -> None:
     if named and rig_of_run(given.rig) is None:
         read_rig_file(str(given.rig), tuning)
     if given.camera is not None:
-        read_camera(given.camera, tuning)
+        read_camera(given.camera)
     poses = _trajectory(given)
     if poses is not None and (poses.is_file() or is_bag(poses) or has_named_poses(poses)):
         read_trajectory(poses)
     if given.start is not None:
         read_start(given.start)
     if given.gnss is not None:
-        read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss, run.settings.scan.heights_m)
+        read_gnss(given.gnss, run.settings.scan.heights_m)
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
@@ -150,7 +150,7 @@ def control_file(run: Run) -> GcpFile | None:
         return None
     if not path.exists():
         raise InputError(f"--gcp {path}: no such file")
-    return read_gcps(path, settings.tuning.scene.control, settings.georef.marks)
+    return read_gcps(path, settings.georef.marks)
 
 
 # --- coded targets of a control point file -------------------------------------------------------------------------

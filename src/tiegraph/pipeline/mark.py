@@ -181,8 +181,7 @@ def open_marking(run: Run, points: Path | None, target: Path) -> Marking:
     given = points or run.settings.georef.gcp
     if given is None:
         raise InputError("--points FILE: name, x, y, z of each point (# crs: EPSG:n in the first line)")
-    tuning = run.settings.tuning.scene.control
-    file = read_points(given, tuning)
+    file = read_points(given)
     scene = checked(run) if run.path("network", "scene.json").exists() else scanned(run)
     world = run.path("world.json")
     origin = world_origin(run.folder) if world.exists() else None
@@ -210,7 +209,7 @@ def _go_on(session: Marking, given: GcpFile) -> None:
     """Read the marks of the target file, or those of the points' own file if there is none yet."""
     session.written = _digest(session.target)
     if session.written:
-        given = read_gcps(session.target, session.run.settings.tuning.scene.control)
+        given = read_gcps(session.target)
         if given.bars:
             raise InputError(f"{session.target} contains scale bars, which would be lost: give another -o")
     names = {p.name: k for k, p in enumerate(session.file.points)}

@@ -242,7 +242,7 @@ def forecast(run: Run) -> Forecast | None:
         return None
     names = find_images(source)
     some = names[:: max(len(names) // 40, 1)]  # images whose size represents all
-    probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
+    probes = [probe_image(source / name) for name in some]
     sizes = [(p.width, p.height) for p in probes if not p.reason]
     if not sizes:
         return None

@@ -21,9 +21,9 @@ from tiegraph.scan.recording import Recording
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings, video_offsets
-from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.videos.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
 from tiegraph.scan.videos.video import (
+    NEAREST_STEPS,
     Pictures,
     check_film,
     find_videos,
@@ -44,7 +44,7 @@ from tiegraph.scan.videos.videooffset import (
     motion_curve,
     offsets_given,
 )
-from tiegraph.scan.videos.videotime import VideoClock, video_clock
+from tiegraph.scan.videos.videotime import CREATION_APART_S, VideoClock, video_clock
 from tiegraph.scene.bags import source_of, split_topics
 from tiegraph.scene.composed import carrying
 from tiegraph.scene.images import find_images, has_images, search_images
@@ -61,7 +61,7 @@ def scan(run: Run) -> Outcome:
     files, passed_over = search_images(root)
     names = clean_names(files)  # from here on: only their opening needs the file system's names
     run.reporter.total(2 * len(names))
-    probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
+    probes = run.map(probe_image, [root / f for f in files])
     known = rig_of_run(given.rig)
     inputs = ScanInputs(
         images=root,
@@ -180,16 +180,16 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
         what = "videos and bags" if bags else "videos"
         note = f"{len(found) + len(bags)} {what} beside the images are left out: give them in a folder of their own"
         return images, (note,), {}
-    settings, tuning = run.settings.scan, run.settings.tuning.scan
+    settings = run.settings.scan
     folder = run.path("images") / ".video"
     items, left_out = _films(found, bags, images, asked)
     if run.inputs.gnss is None:
         left_out += [note for bag in bags for note in fixes_notes(bag)]
     run.reporter.total(2 * len(items))
-    videos = run.map(_look, items, settings, tuning)
+    videos = run.map(_look, items, settings)
     videos, groups, said = _in_time(run, videos)
     first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
-    taken = run.map(_take, first, settings.video_fps, tuning.pictures)
+    taken = run.map(_take, first, settings.video_fps)
     others = [
         _Job(
             video=videos[k],
@@ -200,12 +200,12 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
         for g, p in zip(groups, taken)
         for k in g[1:]
     ]
-    beside = run.map(_take, others, settings.video_fps, tuning.pictures)
+    beside = run.map(_take, others, settings.video_fps)
     notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
     clocks = list(dict.fromkeys(v.clock.note for v in videos if v.width))  # of several tracks, once
-    late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
+    late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], CREATION_APART_S)
     said = filter(None, left_out + notes + clocks + _unknown_starts(videos, groups) + late)
     return folder, tuple(said), {v.folder: v.camera for v in videos if v.camera is not None}
 
@@ -253,7 +253,7 @@ def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]])
     ]
 
 
-def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -> _Video:
+def _look(item: tuple[Recording, str], settings: ScanSettings) -> _Video:
     recording, folder = item
     try:
         check_film(recording)
@@ -267,9 +267,9 @@ def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -
         camera, said = None, ""
         if isinstance(opened, BagFilm):
             clock = opened.clock(video_offsets(settings.video_offset).all_s)
-            camera, said = opened.camera((width, height), tuning.rig.camera)
+            camera, said = opened.camera((width, height))
         else:
-            clock = video_clock(recording.file, settings, tuning.pictures)
+            clock = video_clock(recording.file, settings)
         clock = replace(clock, note="; ".join(filter(None, (clock.note, said))))
         found = _Video(recording, folder, clock, width=width, height=height, fps=opened.fps)
         return replace(found, camera=camera)
@@ -277,7 +277,6 @@ def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -
 
 def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tuple[int, ...]], list[str]]:
     """The videos with their offsets, those of a rig on the clock of its first, the groups of them, and notes."""
-    tuning = run.settings.tuning.scan
     groups = _groups(run, videos)
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
@@ -290,9 +289,9 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     }
     asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses | stamped.keys()}
     moving = sorted({*asked, *asked.values()})
-    curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
+    curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving])))
     pairs = [(curves[first], curves[k]) for k, first in asked.items()]
-    offsets = dict(zip(asked, run.map(_offset_of, pairs, tuning.offset)))
+    offsets = dict(zip(asked, run.map(_offset_of, pairs)))
     notes = []
     for group in groups:
         first = out[group[0]]
@@ -314,7 +313,7 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
             notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
             if k not in lenses:  # the fixes that correct a clock are in the file of one lens only
                 by_clock = out[k].clock.start_s - first.clock.start_s
-                apart = abs(by_clock - out[k].offset_s) > tuning.pictures.creation_apart_s
+                apart = abs(by_clock - out[k].offset_s) > CREATION_APART_S
                 if first.clock.known and out[k].clock.known and apart:
                     said = f"by its own clock it would begin {by_clock:+.0f} s after: that of the first is used"
                     notes.append(f"{out[k].name}: {said}")
@@ -346,22 +345,22 @@ def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
     return [tuple(good[f] for f in g) for g in together] + alone
 
 
-def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
+def _curve(video: _Video) -> MotionCurve:
     with open_film(video.recording) as opened:
-        return motion_curve(opened.frames(), tuning.motion)
+        return motion_curve(opened.frames())
 
 
-def _offset_of(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Offset:
-    return find_offset(*curves, tuning)
+def _offset_of(curves: tuple[MotionCurve, MotionCurve]) -> Offset:
+    return find_offset(*curves)
 
 
-def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
+def _take(job: _Job, per_second: float) -> Pictures:
     video = job.video
     if job.numbers is None:
         choice = sharpest(per_second)
     else:
-        choice = nearest(job.numbers, job.stamps_s, tuning.nearest_steps / video.fps)
-    return take_pictures(video.recording, job.target, choice, video.clock, tuning)
+        choice = nearest(job.numbers, job.stamps_s, NEAREST_STEPS / video.fps)
+    return take_pictures(video.recording, job.target, choice, video.clock)
 
 
 def _apart(job: _Job, taken: Pictures) -> str:

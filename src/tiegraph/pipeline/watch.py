@@ -142,7 +142,7 @@ class Watched:
         """Open files, sort all known ones into the scene, and make the previews; names of the new images."""
         root = self.arrivals.root
         for file in files:
-            probe = probe_image(root / file, self.run.settings.tuning.scene.images)
+            probe = probe_image(root / file)
             if probe.reason and (file not in self._probes or self._probes[file].reason != probe.reason):
                 self.run.reporter.say(f"not used: {file}: {probe.reason}")
             self._probes[file] = probe

@@ -7,18 +7,11 @@ compares the records with the size of the file first. Images get names of ours w
 (``scene.names``): no native library sees a name that is not UTF-8. A table's header says which column is which; the
 order of a quaternion is that of the format or told by the path, never guessed (``scene.posefile``).
 
-Cameras that write into one folder are distinguished by the ends of the file names (``folders``): the folder of a sensor
-is then a pattern, ``*_GRE``, and XMP rig relatives give their orientations. The calibration of a single camera is an
-input, ``--camera`` (``cameras``). Control points are points and marks, in one table, two tables, or two files.
-
 A position is far from the rest if it lies behind a gap in the sorted distances (``geometry.geodesy.far_from_rest``).
 A CRS whose lengths are off by more than 1 % at the positions is refused.
 
 Videos become pictures first (``video``), with the time and place of each frame as EXIF (``videotime``,
-``telemetry``), so that everything for photographs applies to them. Videos of one rig are distinguished by the same
-reading of folders as their pictures and aligned by their motion (``videooffset``). PyAV would decode sound,
-but its wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives stamps.
-
-An image topic of a ROS bag is a video with the stamps of its messages' headers (``bagfilms``): its pictures are
-chosen and written by the same code, and its camera is an initial value, as that of a start model.
+``telemetry``), so that everything for photographs applies to them; so does an image topic of a ROS bag (``bagfilms``).
+Videos of one rig are distinguished by the same reading of folders as their pictures and aligned by their motion
+(``videooffset``). PyAV's wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives stamps.
 """

@@ -31,7 +31,7 @@ from tiegraph.scan.rigfiles.rigfaults import contradictions
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import FramesTuning, Tuning
+from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import Probe
 from tiegraph.text import some
@@ -78,10 +78,12 @@ def assign(
     """
     cameras = preset_sizes(rig, tuning.rig) if rig and text is None else ()
     if rig is not None and not cameras:
-        return _assign_by_file(Path(rig), read_rig_file(rig, tuning.rig, text), usable, settings, report, tuning)
+        return _assign_by_file(
+            Path(rig), read_rig_file(rig, tuning.rig, text), usable, settings, report, tuning.folders
+        )
     exif, sizes = usable.facts()
     kind = usable.layout(settings)
-    layout = band_layout(usable.names, exif, kind, tuning.frames) or guess_layout(
+    layout = band_layout(usable.names, exif, kind) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
     # Several lenses or focal lengths are several cameras, also in one body.
@@ -131,7 +133,7 @@ def _guessed_rig(layout: Layout) -> RigSpec:
 
 
 def _assign_by_file(
-    file: Path, read: Sequence[RigSpec], usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning
+    file: Path, read: Sequence[RigSpec], usable: Usable, settings: ScanSettings, report: Report, tuning: FoldersTuning
 ) -> Survey:
     specs = tuple(_bound(_checked(s), usable.names) for s in read)
     owner = {(s.folder or ""): (r, k) for r, spec in enumerate(specs) for k, s in enumerate(spec.sensors)}
@@ -143,9 +145,9 @@ def _assign_by_file(
     report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
     order = Order(False, "")
     if len(owner) == 1:
-        order = order_of(usable.names, places, *usable.facts(), usable.layout(settings), tuning.folders)
+        order = order_of(usable.names, places, *usable.facts(), usable.layout(settings), tuning)
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {order.why}" if order.why else ""))
-    report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec, tuning.rig)]
+    report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec)]
     shots = _shots(usable, places, owner, order.loose)
     return Survey(specs=specs, shots=shots, loose=order.loose, guessed=order.guessed)
 
@@ -226,10 +228,7 @@ def _millimetres(exif: Exif) -> str:
     return f"{exif.focal_mm:.1f}mm{zoom}" if np.isfinite(exif.focal_mm) else ""
 
 
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
-def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
+def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report) -> Survey:
     """The survey with the frame of each image; second images of a frame are dropped in the report."""
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
@@ -241,7 +240,7 @@ def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, 
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
-        keys, by = match_frames(stems, how, tuning)
+        keys, by = match_frames(stems, how)
         _say_frames(sequence, by, stems, how, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
@@ -250,14 +249,11 @@ def into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, 
 
 
 def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
-    if len(stems) < 2:
-        return
-    counts = sorted({len(s) for s in stems.values()})
-    if how == "number" and asked == "auto":
-        report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
-    if how == "time":
-        report.notes.append(f"pass {sequence}: images of one frame found by the times in their names")
-    if how == "order":
+    found = {"number": "last number" if asked == "auto" else "", "time": "times"}.get(how)
+    if found and len(stems) > 1:
+        report.notes.append(f"pass {sequence}: images of one frame found by the {found} in their names")
+    if how == "order" and len(stems) > 1:
+        counts = sorted({len(s) for s in stems.values()})
         text = f"pass {sequence}: file names do not show which images belong together; taken in the order of names"
         if len(counts) > 1:
             text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
@@ -267,17 +263,13 @@ def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str
 def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> list[Shot]:
     first: dict[str, Shot] = {}
     for shot in shots:
-        if shot.key in first:
-            used = names[first[shot.key].image]
-            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {used} is used")
-        else:
-            first[shot.key] = shot
+        used = first.setdefault(shot.key, shot)
+        if used is not shot:
+            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {names[used.image]} is used")
     return list(first.values())
 
 
-def match_frames(
-    stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning
-) -> tuple[dict[int, list[str]], str]:
+def match_frames(stems: Mapping[int, Sequence[str]], how: str) -> tuple[dict[int, list[str]], str]:
     """Frame label of each image of one pass, by sensor, from the file stems, and how: name, number, time or order.
 
     Auto: equal names if half of them agree; else equal last numbers in the names, which are frame numbers in the
@@ -294,9 +286,10 @@ def match_frames(
             numbers = [re.findall(r"\d+", s) for s in names]
             by_number[sensor] = [str(int(n[-1])) if n else s for n, s in zip(numbers, names)]
         once = [[c == 1 for c in Counter(k).values()] for k in by_number.values()]
-        if how == "number" or (_shared(by_number) >= 0.5 and all(sum(c) >= tuning.unique * len(c) for c in once)):
+        # Numbers that number frames mostly occur once in a camera's names
+        if how == "number" or (_shared(by_number) >= 0.5 and all(sum(c) >= 0.9 * len(c) for c in once)):
             return by_number, "number"
-    if how == "auto" and (by_time := _by_time(stems, tuning)) and _shared(by_time) >= 0.5:
+    if how == "auto" and (by_time := _by_time(stems)) and _shared(by_time) >= 0.5:
         return by_time, "time"
     by_order = {}
     for sensor, names in stems.items():
@@ -305,7 +298,7 @@ def match_frames(
     return by_order, "order"
 
 
-def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[int, list[str]]:
+def _by_time(stems: Mapping[int, Sequence[str]]) -> dict[int, list[str]]:
     """By sensor the nearest name in time in the fullest sensor, or the image's own name if none is near."""
     seconds = {k: np.array([time_in_name(s) for s in names]) for k, names in stems.items()}
     fullest = max(stems, key=lambda k: len(stems[k]))
@@ -313,7 +306,7 @@ def _by_time(stems: Mapping[int, Sequence[str]], tuning: FramesTuning) -> dict[i
     ordered = seconds[fullest][order]
     if any(np.isnan(t).any() for t in seconds.values()) or len(ordered) < 2:
         return {}
-    near, out = tuning.same_step * float(np.median(np.diff(ordered))), {}
+    near, out = 0.25 * float(np.median(np.diff(ordered))), {}
     for sensor, own in seconds.items():
         nearest = np.array([int(np.argmin(np.abs(ordered - t))) for t in own])
         close = np.abs(ordered[nearest] - own) <= near

@@ -24,11 +24,11 @@ from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.priors.trajectory import images_by_name
 from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, only_one
-from tiegraph.scan.rigfiles.rigfaults import focal_fault, lens_fault
+from tiegraph.scan.rigfiles.rigfaults import FOV_DEG, focal_fault, lens_fault
 from tiegraph.scan.rigfiles.rigfile import camera_table
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.rigfiles.rigspec import CIRCLE_DEG, START_FOCAL, RigSpec, SensorSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.atomic import names_file
 from tiegraph.scene.decoding import EIGHT_BIT, Levels
 from tiegraph.scene.rig import Source, on_plane
@@ -90,21 +90,21 @@ def _file_camera(
     spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings, tuning: CameraTuning
 ) -> tuple[pycolmap.Camera, str]:
     if spec.params is not None and spec.model is not None:
-        return _from_params(spec.model, spec.params, spec, facts, spec.at if spec.started else file, tuning)
+        return _from_params(spec.model, spec.params, spec, facts, spec.at if spec.started else file)
     model = spec.model or _default_model(spec, facts, settings)
     fisheye, named = "FISHEYE" in model, Path(file).name  # without the private folders of this machine
     width, height = facts.size
     known = True
     if spec.focal_px is not None:
-        scale = _scale(spec, facts, file, tuning)
+        scale = _scale(spec, facts, file)
         focal, how = spec.focal_px * scale, f"focal length from {named}{_scaled(scale)}"
-        if wrong := focal_fault(focal, width, fisheye, tuning):
+        if wrong := focal_fault(focal, width, fisheye):
             raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
     elif spec.hfov_deg is not None and file:
-        if not fisheye and not tuning.min_fov_deg <= spec.hfov_deg <= tuning.max_fov_deg:
+        if not fisheye and not FOV_DEG[0] <= spec.hfov_deg <= FOV_DEG[1]:
             raise InputError(
                 f"{spec.at or file}: sensor {spec.name!r}: hfov_deg = {spec.hfov_deg:g}: a {model} image sees "
-                f"{tuning.min_fov_deg:g} to {tuning.max_fov_deg:g} degrees; give a fisheye model?"
+                f"{FOV_DEG[0]:g} to {FOV_DEG[1]:g} degrees; give a fisheye model?"
             )
         focal, how = _from_hfov(spec.hfov_deg, width, fisheye), f"field of view from {named}"
     elif np.isfinite(facts.focal_px):
@@ -125,7 +125,7 @@ def _guessed(spec: SensorSpec, facts: FileFacts, fisheye: bool, tuning: CameraTu
         return _from_hfov(spec.hfov_deg, width, fisheye), how
     if fisheye:
         circle = np.isfinite(facts.radius_px)
-        across = tuning.guessed_circle_deg if circle else tuning.guessed_fisheye_deg
+        across = CIRCLE_DEG if circle else tuning.guessed_fisheye_deg
         how = f"focal length guessed: a fisheye of {across:g} degrees across{' its circle' if circle else ''}"
         return _from_hfov(across, 2 * facts.radius_px if circle else width, fisheye), how
     how = f"focal length guessed as {tuning.guessed_focal} x the longer side (no EXIF, no rig file with a camera)"
@@ -133,12 +133,12 @@ def _guessed(spec: SensorSpec, facts: FileFacts, fisheye: bool, tuning: CameraTu
 
 
 def _from_params(
-    model: str, params: tuple[float, ...], spec: SensorSpec, facts: FileFacts, file: str, tuning: CameraTuning
+    model: str, params: tuple[float, ...], spec: SensorSpec, facts: FileFacts, file: str
 ) -> tuple[pycolmap.Camera, str]:
-    scale = _scale(spec, facts, file, tuning)
+    scale = _scale(spec, facts, file)
     width, height = spec.size or facts.size
     camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
-    if wrong := lens_fault(camera, tuning):
+    if wrong := lens_fault(camera):
         raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
@@ -148,12 +148,12 @@ def _from_params(
     return camera, f"{origin}{_scaled(scale)}"
 
 
-def _scale(spec: SensorSpec, facts: FileFacts, file: str, tuning: CameraTuning) -> float:
+def _scale(spec: SensorSpec, facts: FileFacts, file: str) -> float:
     """Images' width over the width of the rig file."""
     if spec.size is None or spec.size == facts.size:
         return 1.0
     across, down = facts.size[0] / spec.size[0], facts.size[1] / spec.size[1]
-    if abs(across / down - 1) > tuning.same_shape:
+    if abs(across / down - 1) > _SAME_SHAPE:
         raise InputError(
             f"{file}: the camera of sensor {spec.name!r} is for {spec.size[0]} x {spec.size[1]} images, but its images "
             f"have {facts.size[0]} x {facts.size[1]}: another shape, so the parameters cannot be rescaled. Give the "
@@ -188,39 +188,35 @@ WORDS = (
     f"of the images may be omitted), or a file: {PROGRAMS}, or a rig.toml with one camera"
 )
 _FILES = (".txt", ".bin", ".yaml", ".yml", ".xml", ".json", ".toml")
+_SAME_SHAPE = 0.01  # relative difference of two aspect ratios that rounding to whole pixels may cause
 _GRID = 15  # points across an image at which cameras are compared
 
 
-def read_camera(text: str, tuning: RigTuning) -> SensorSpec:
+def read_camera(text: str) -> SensorSpec:
     """The camera of an option ``--camera``: a sensor without name or folder. Raises InputError naming what is wrong."""
     path, where = Path(text), f"--camera {text}"
     if not names_file(text):
         if path.suffix.lower() in _FILES or "/" in text:
             raise InputError(f"{where}: no such file; {WORDS}")
-        return _sensor(in_words(re.split(r"[,;\s]+", text.strip()), where, WORDS), tuning.camera)
-    if path.suffix.lower() == ".toml":
-        return camera_table(path, utf8_text(path, where, f"; {WORDS}"), tuning)
-    return _sensor(only_one(read_camera_file(path, where), where), tuning.camera)
-
-
-def _sensor(found: FoundCamera, tuning: CameraTuning) -> SensorSpec:
-    """A sensor with the camera, if a lens can have these values."""
-    check_lens(found, tuning)
+        found = in_words(re.split(r"[,;\s]+", text.strip()), where, WORDS)
+    elif path.suffix.lower() == ".toml":
+        return camera_table(path, utf8_text(path, where, f"; {WORDS}"))
+    else:
+        found = only_one(read_camera_file(path, where), where)
+    check_lens(found)
     return SensorSpec("camera", **found.of_sensor())
 
-
-# --- which camera of the survey it is -------------------------------------------------------------------------------
 
 Sizes = Mapping[tuple[int, int], tuple[int, int]]
 """Width and height of the images, by rig and sensor."""
 
 
-def with_camera(survey: Survey, sizes: Sizes, camera: str | None, notes: list[str], tuning: RigTuning) -> Survey:
+def with_camera(survey: Survey, sizes: Sizes, camera: str | None, notes: list[str]) -> Survey:
     """The survey with the one camera whose calibration the user gave. Raises InputError."""
     if camera is None:
         return survey
-    given = read_camera(camera, tuning)
-    r, k = _taker(given, survey, sizes, tuning.camera)
+    given = read_camera(camera)
+    r, k = _taker(given, survey, sizes)
     sensor = survey.specs[r].sensors[k]
     if sensor.params is not None or sensor.focal_px is not None or sensor.hfov_deg is not None:
         raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: omit one of the two")
@@ -233,10 +229,10 @@ def with_camera(survey: Survey, sizes: Sizes, camera: str | None, notes: list[st
     return replace(survey, specs=tuple(specs))
 
 
-def _taker(given: SensorSpec, survey: Survey, sizes: Sizes, tuning: CameraTuning) -> tuple[int, int]:
+def _taker(given: SensorSpec, survey: Survey, sizes: Sizes) -> tuple[int, int]:
     """Rig and sensor of a given camera: the only one, or that whose images have the shape of the calibration;
     photographs by other cameras keep the values of EXIF. Raises InputError if several or none fit."""
-    fits = [key for key, size in sizes.items() if len(sizes) == 1 or _same_shape(given.size, size, tuning)]
+    fits = [key for key, size in sizes.items() if len(sizes) == 1 or _same_shape(given.size, size)]
     if len(fits) == 1:
         return fits[0]
     named = [f"{survey.specs[r].sensors[k].name} ({w} x {h})" for (r, k), (w, h) in sizes.items()]
@@ -264,7 +260,7 @@ def start_cameras(root: Path, by_folder: Mapping[str, FoundCamera], names: Seque
 
 
 def with_start_cameras(
-    survey: Survey, sizes: Sizes, start: StartModel, notes: list[str], names: Sequence[str], tuning: CameraTuning
+    survey: Survey, sizes: Sizes, start: StartModel, notes: list[str], names: Sequence[str]
 ) -> Survey:
     """The survey with the cameras of a start model where the user gave none: initial values, to be adjusted.
 
@@ -283,15 +279,15 @@ def with_start_cameras(
         found = _middle([cameras[row] for row in own], sensor.name, start.cameras_of(), notes)
         if found is None:
             continue
-        if not _same_shape(found.size, size, tuning):
+        if not _same_shape(found.size, size):
             w, h = found.size or size
             raise InputError(
                 f"{found.where}: its images of {sensor.name!r} have {w} x {h}, those here {size[0]} x {size[1]}: start "
                 "from a model of these images (not undistorted, cropped or turned)"
             )
-        check_lens(found, tuning)
+        check_lens(found)
         found = _adjustable(found, size)
-        focal = tuning.start_focal * found.params[0]
+        focal = START_FOCAL * found.params[0]
         specs = _with_sensor(specs, (r, k), **found.of_sensor(), camera_sigma_px=focal, started=True)
     if given:
         notes.append(f"{some(given)}: the cameras given are used, not those of {start.cameras_of()}")
@@ -336,5 +332,5 @@ def _middle(cameras: list[FoundCamera], name: str, whose: str, notes: list[str])
     return order[len(order) // 2]
 
 
-def _same_shape(given: tuple[int, int] | None, size: tuple[int, int], tuning: CameraTuning) -> bool:
-    return given is None or abs(given[0] * size[1] / (given[1] * size[0]) - 1) < tuning.same_shape
+def _same_shape(given: tuple[int, int] | None, size: tuple[int, int]) -> bool:
+    return given is None or abs(given[0] * size[1] / (given[1] * size[0]) - 1) < _SAME_SHAPE

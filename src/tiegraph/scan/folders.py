@@ -17,7 +17,7 @@ import numpy as np
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.rigfiles.rigspec import RigSpec
-from tiegraph.scan.tuning import FoldersTuning, FramesTuning
+from tiegraph.scan.tuning import FoldersTuning
 from tiegraph.scene.exif import Exif, relative_rotation
 from tiegraph.text import some
 
@@ -33,6 +33,7 @@ UP_WORDS = frozenset("up top sky zenith".split())
 _PHOTO_NAME = re.compile(r"^(img|dsc|dscn|dscf|dji|p|pict|gopr|mvi|sam|_mg|_dsc|photo|cimg|r)_?\d", re.IGNORECASE)
 _GENERIC_WORDS = _CAMERA_WORDS | frozenset("images cameras data photos pictures input jpg jpeg png frames raw".split())
 LONE_PASS = "all"
+_REGULAR = 0.9  # share of equal steps in the numbers, or in the times, of a sequence
 
 
 @dataclass(frozen=True)
@@ -128,13 +129,9 @@ def shot_stem(name: str, folder: str) -> str:
 
 def _pass_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
     """Pass of each image: its folders without those that all share; for a single pass the last specific one."""
-    common = _common(paths)
+    common = len(os.path.commonprefix(list(paths)))
     telling = [p for p in paths[0][:common] if not words(p) & _GENERIC_WORDS] if paths else []
     return ["/".join(p[common:]) or [LONE_PASS, *telling][-1] for p in paths]
-
-
-def _common(paths: Sequence[tuple[str, ...]]) -> int:
-    return len(os.path.commonprefix(list(paths)))
 
 
 def guess_layout(
@@ -151,11 +148,11 @@ def guess_layout(
     """
     paths = [PurePosixPath(n).parts[:-1] for n in names]
     depth, count = Counter(len(p) for p in paths).most_common(1)[0]
-    inside = [k for k, p in enumerate(paths) if len(p) == depth or count < tuning.one_depth * len(paths)]
-    inner, why = _by_camera_level(names, exif, inside, kind, cameras, tuning)
+    inside = [k for k, p in enumerate(paths) if len(p) == depth or count < 0.75 * len(paths)]
+    inner, why = _by_camera_level(names, exif, inside, kind, cameras)
     if not inner and len(inside) < len(names):
         inside = list(range(len(names)))
-        inner, why = _by_camera_level(names, exif, inside, kind, cameras, tuning)
+        inner, why = _by_camera_level(names, exif, inside, kind, cameras)
     if inner:
         places: list[Place | None] = [None] * len(names)
         for k, place in zip(inside, inner):
@@ -169,18 +166,13 @@ def guess_layout(
 
 
 def _by_camera_level(
-    names: Sequence[str],
-    exif: Sequence[Exif],
-    inside: Sequence[int],
-    kind: str,
-    cameras: tuple[int, ...],
-    tuning: FoldersTuning,
+    names: Sequence[str], exif: Sequence[Exif], inside: Sequence[int], kind: str, cameras: tuple[int, ...]
 ) -> tuple[list[Place], str]:
     """Places of the images ``inside``, None if no level of folders is one of cameras, and why."""
     paths = [PurePosixPath(names[k]).parts[:-1] for k in inside]
-    common = _common(paths)
+    common = len(os.path.commonprefix(paths))
     shots = [(PurePosixPath(names[k]).stem, exif[k]) for k in inside]
-    level, why = _camera_level([p[common:] for p in paths], shots, kind, cameras, tuning)
+    level, why = _camera_level([p[common:] for p in paths], shots, kind, cameras)
     if level is None:
         return [], why
     at = common + level
@@ -189,11 +181,7 @@ def _by_camera_level(
 
 
 def _camera_level(
-    tails: Sequence[tuple[str, ...]],
-    shots: Sequence[tuple[str, Exif]],
-    kind: str,
-    cameras: tuple[int, ...],
-    tuning: FoldersTuning,
+    tails: Sequence[tuple[str, ...]], shots: Sequence[tuple[str, Exif]], kind: str, cameras: tuple[int, ...]
 ) -> tuple[int | None, str]:
     """Depth of the folders of cameras in paths without their common beginning, None if there are none, and why."""
     depth = min(len(t) for t in tails)
@@ -211,14 +199,11 @@ def _camera_level(
     best = max(range(depth), key=lambda k: (likeness[k], k))
     if likeness[best] >= 0.5 and (len(levels[best]) > 1 or depth > 1):
         return best, f"the folders {_some(levels[best])} are named like cameras"
-    return _camera_level_by_structure(tails, shots, levels, tuning)
+    return _camera_level_by_structure(tails, shots, levels)
 
 
 def _camera_level_by_structure(
-    tails: Sequence[tuple[str, ...]],
-    shots: Sequence[tuple[str, Exif]],
-    levels: list[list[str]],
-    tuning: FoldersTuning,
+    tails: Sequence[tuple[str, ...]], shots: Sequence[tuple[str, Exif]], levels: list[list[str]]
 ) -> tuple[int | None, str]:
     uniform = len({len(t) for t in tails}) == 1
     if uniform and len(levels) == 1 and len(levels[0]) > 1:
@@ -227,7 +212,7 @@ def _camera_level_by_structure(
         shared = set.intersection(*map(set, groups))
         if likeness < 0.5 and len(shared) >= 0.5 * min(map(len, groups)):
             equal = f"the folders {_some(levels[0])} have equal file names"
-            apart = _apart([[g[s] for s in sorted(shared)] for g in groups], tuning)
+            apart = _apart([[g[s] for s in sorted(shared)] for g in groups])
             if apart:
                 return None, f"{equal}, but {apart}: no cameras of a rig (if they are, give --scan.layout cameras)"
             return 0, equal
@@ -238,7 +223,7 @@ def _camera_level_by_structure(
     return None, ""
 
 
-def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
+def _apart(groups: Sequence[Sequence[Exif]]) -> str:
     """Why EXIF excludes that images of one name in several folders were taken together; "" if it does not."""
     first = groups[0]
     for other in groups[1:]:
@@ -248,17 +233,17 @@ def _apart(groups: Sequence[Sequence[Exif]], tuning: FoldersTuning) -> str:
             sides = (np.array([[e.lat_deg, e.lon_deg, 0.0] for e in side]) for side in zip(*both))
             one, two = (world_from_geodetic(side, here) for side in sides)
             metres = float(np.median(np.linalg.norm(two - one, axis=1)))
-            if metres > tuning.apart_m:
+            if metres > 30:  # positions in EXIF are some metres off
                 return f"images of equal names are {metres:.0f} m apart"
         times = np.array([[a.time_s, b.time_s] for a, b in zip(first, other)])
         times = times[np.isfinite(times).all(axis=1)]
         if len(times):
             between = times[:, 1] - times[:, 0]
             scatter = float(np.median(np.abs(between - np.median(between))))
-            if scatter > tuning.apart_s:
+            if scatter > 2:  # EXIF has whole seconds, and different clocks differ by a constant
                 return f"the time between images of equal names differs by {scatter:.0f} s"
             after = times[:, 0].min() > times[:, 1].max() or times[:, 1].min() > times[:, 0].max()
-            if after and _regular_times(times[:, 0].tolist(), tuning):  # irregular and equal: one trigger, two clocks
+            if after and _regular_times(times[:, 0].tolist()):  # irregular and equal: one trigger, two clocks
                 return "one folder was taken after the other"
     return ""
 
@@ -291,7 +276,7 @@ def order_of(
         return Order(True, f"loose photographs: fewer than {tuning.few}, so their order does not matter")
     if len({(e.make, e.model, *s) for e, s in zip(exif, sizes)}) > 1:
         return Order(True, "loose photographs: taken by different cameras or in different sizes")
-    regular = _regular_times([e.time_s for e in exif], tuning)
+    regular = _regular_times([e.time_s for e in exif])
     if regular is not None:
         if regular:
             return Order(False, f"{as_sequence}: taken at regular times", guessed=True)
@@ -299,23 +284,23 @@ def order_of(
     stems = [PurePosixPath(n).stem for n in names]
     if all(_PHOTO_NAME.match(s) for s in stems):
         return Order(True, "loose photographs: numbered as a camera numbers single photographs")
-    if _regular_numbers(names, tuning):
+    if _regular_numbers(names):
         return Order(False, f"{as_sequence}: numbered in equal steps", guessed=True)
     return Order(True, "loose photographs: neither times nor numbers show an order")
 
 
-def _regular_times(times: Sequence[float], tuning: FoldersTuning) -> bool | None:
+def _regular_times(times: Sequence[float]) -> bool | None:
     """Whether times are in equal steps; None where some are missing or all are equal."""
     if np.isnan(times).any() or min(times) == max(times):
         return None
     steps = sorted(np.diff(sorted(times)).tolist())
     middle = steps[len(steps) // 2]
-    play = max(tuning.play * middle, tuning.play_s)
+    play = max(0.25 * middle, 1.0)  # EXIF often has whole seconds only
     equal = sum(abs(s - middle) <= play for s in steps) / len(steps)
-    return middle > 0 and equal >= tuning.regular
+    return middle > 0 and equal >= _REGULAR
 
 
-def _regular_numbers(names: Sequence[str], tuning: FoldersTuning) -> bool:
+def _regular_numbers(names: Sequence[str]) -> bool:
     by_folder: dict[str, list[int]] = {}
     for name in names:
         numbers = re.findall(r"\d+", PurePosixPath(name).stem)
@@ -324,7 +309,7 @@ def _regular_numbers(names: Sequence[str], tuning: FoldersTuning) -> bool:
         by_folder.setdefault(str(PurePosixPath(name).parent), []).append(int(numbers[-1]))
     steps = [step for values in by_folder.values() for step in np.diff(sorted(values)).tolist()]
     usual, count = max(Counter(steps).items(), key=lambda item: item[1], default=(0, 0))
-    return usual > 0 and count / len(steps) >= tuning.regular
+    return usual > 0 and count / len(steps) >= _REGULAR
 
 
 _BANDS = frozenset(
@@ -334,7 +319,7 @@ _MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 
 
-def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: FramesTuning) -> Layout | None:
+def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout | None:
     """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
 
     Marks are names of bands; or numbers, if the files or MicaSense's naming show that these are
@@ -357,7 +342,7 @@ def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: F
             shots[str(PurePosixPath(names[k]).parent), match[1]].add(marks[k])
     held = sum(len(s) for s in shots.values())
     possible = max(len(names), len(shots) * len(cameras))
-    if len(cameras) < 2 or len(shots) < 2 or held < tuning.whole * possible:
+    if len(cameras) < 2 or len(shots) < 2 or held < 0.75 * possible:  # with less it is chance
         return None
     spelt = {m: next(f[2] for f, mark in zip(found, marks) if f and mark == m) for m in cameras}
     passes = _pass_names([PurePosixPath(n).parts[:-1] for n in names])

@@ -186,9 +186,6 @@ def need_two(count: int, report: Report) -> None:
         )
 
 
-# --- the images that the other stages read --------------------------------------------------------------------------
-
-
 def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 
@@ -198,7 +195,10 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
     """
     source, target = real_path(source), Path(target)
     how = sensor.source or Source()
-    pixels = _changed_pixels(source, how, sensor, settings, target.suffix.lower())
+    try:
+        pixels = _changed_pixels(source, how, sensor, settings, target.suffix.lower())
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read ({error}); it was readable before: scan again") from None
     with replacing(target) as partial:
         if pixels is None:
             _link(source, partial)
@@ -227,15 +227,12 @@ def _changed_pixels(
     if how.panorama and how.camera is not None:
         view = render_view(_panorama(path, how.levels), how.camera, np.reshape(how.panorama, (3, 3)))
         return _for_suffix(_cropped(view, how), suffix)
-    try:
-        file = opened(regular(path).read_bytes(), path.suffix)
-        bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
-        changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
-        if not changed and _plain(file, suffix):
-            return None
-        pixels = _for_suffix(eight_bit(file.pixels(), how.levels), suffix)
-    except OSError as error:
-        raise _gone(path, error) from None
+    file = opened(regular(path).read_bytes(), path.suffix)
+    bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
+    changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
+    if not changed and _plain(file, suffix):
+        return None
+    pixels = _for_suffix(eight_bit(file.pixels(), how.levels), suffix)
     if how.upright:
         pixels = turned(pixels, file.orientation)
     # The image of this lens, of two side by side
@@ -253,10 +250,6 @@ def _for_suffix(pixels: np.ndarray, suffix: str) -> np.ndarray:
     return pixels[..., :3] if pixels.shape[2:] == (4,) and suffix not in (".png", ".tif", ".tiff") else pixels
 
 
-def _gone(path: Path, error: OSError) -> InputError:
-    return InputError(f"{path}: cannot be read ({error}); it was readable before: scan again")
-
-
 def _cropped(pixels: np.ndarray, how: Source) -> np.ndarray:
     left, top, right, bottom = how.crop_px
     return pixels[top : pixels.shape[0] - bottom, left : pixels.shape[1] - right]
@@ -264,11 +257,8 @@ def _cropped(pixels: np.ndarray, how: Source) -> np.ndarray:
 
 @cached_by_file(maxsize=1)  # its views are made one after another
 def _panorama(path: Path, levels: Levels) -> np.ndarray:
-    try:
-        file = opened(regular(path).read_bytes(), path.suffix)
-        pixels = eight_bit(file.pixels(), levels)
-    except OSError as error:
-        raise _gone(path, error) from None
+    file = opened(regular(path).read_bytes(), path.suffix)
+    pixels = eight_bit(file.pixels(), levels)
     sphere = sphere_of(file.image, pixels.shape[1::-1], lambda: pixels)
     return pixels if sphere is None else sphere.unfolded(pixels)
 

@@ -14,7 +14,6 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.bags import shown
 from tiegraph.scene.exif import Taken
@@ -41,6 +40,7 @@ class Recording:
 # 2000 ... 2100: other times are those of clocks that were never set (0 = 1904, 1970).
 RECORDED_RANGE_S = (946684800.0, 4102444800.0)
 _MOST_HEIGHT_M = 100_000.0  # above or below the sea: other numbers are no heights
+_MOST_DOP = 5.0  # "under 500 is good" for its hundredfold by GoPro (gpmf-parser)
 
 
 @dataclass(frozen=True)
@@ -77,16 +77,16 @@ class Fixes:
         return Taken(lat_deg=at[0], lon_deg=(at[1] + 180) % 360 - 180, height_m=at[2])
 
 
-def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:
+def believed(readings: Readings) -> tuple[Readings, str]:
     """Readings with a fix and a small enough DOP, in order of their stamps; and how many were left out, why."""
     lat, lon, height = readings.lat_lon_height.T
     no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
     on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > _MOST_HEIGHT_M)
     nowhere = ~no_fix & ~on_earth
-    poor = ~no_fix & on_earth & (readings.dop > tuning.most_dop)
+    poor = ~no_fix & on_earth & (readings.dop > _MOST_DOP)
     reasons = {
         "without a fix": no_fix,
-        f"with a DOP above {tuning.most_dop:g}": poor,
+        f"with a DOP above {_MOST_DOP:g}": poor,
         "not on the Earth": nowhere,
     }
     words = ", ".join(f"{rows.sum()} {why}" for why, rows in reasons.items() if rows.any())
@@ -102,9 +102,6 @@ def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]
 
 VIDEO = b"vide"
 _MOST_SAMPLES = 1_000_000  # bound of memory: telemetry of 11 days, one a second
-
-
-# --- tracks of an MP4 file -------------------------------------------------------------------------------------------
 
 
 class BrokenTrack(ValueError):
@@ -147,7 +144,7 @@ def tracks(file: BinaryIO) -> list[Track]:
     ]
 
 
-_TABLES = (b"mdia", b"minf", b"stbl")
+_TABLES, _EDITS = (b"mdia", b"minf", b"stbl"), (b"edts", b"elst")
 
 
 def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int, count: int) -> bytes:
@@ -157,6 +154,15 @@ def _bytes(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], at: int
         return b""
     file.seek(found[at < 0] + at)
     return file.read(count)
+
+
+def contents(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], most: int) -> bytes:
+    """The first bytes of the box at the end of a path of boxes; none without it."""
+    found = _inside(file, span, path)
+    if found is None:
+        return b""
+    file.seek(found[0])
+    return file.read(min(most, found[1] - found[0]))
 
 
 def _inside(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> tuple[int, int] | None:
@@ -184,11 +190,10 @@ def samples(file: BinaryIO, track: Track) -> Samples:
 def edits(file: BinaryIO, track: Track) -> tuple[float, float]:
     """By its edit list (8.6.6) how long a track shows nothing at first, and how much of its samples is then cut
     off, s. Raises BrokenTrack."""
-    found, whole = _inside(file, track.span, (b"edts", b"elst")), (0, file.seek(0, 2))
-    if found is None or _inside(file, whole, (b"moov", b"mvhd")) is None:
+    whole = 0, file.seek(0, 2)
+    if None in (_inside(file, track.span, _EDITS), _inside(file, whole, (b"moov", b"mvhd"))):
         return 0.0, 0.0
-    file.seek(found[0])
-    data = file.read(min(found[1] - found[0], _MOST_SAMPLES))
+    data = contents(file, track.span, _EDITS, _MOST_SAMPLES)
     wide = data[:1] == b"\1"
     row = np.dtype([("length", ">u8" if wide else ">u4"), ("media", ">i8" if wide else ">i4"), ("rate", ">u4")])
     rows = np.frombuffer(data[8 : 8 + (len(data) - 8) // row.itemsize * row.itemsize], row)
@@ -206,10 +211,7 @@ def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
 
 def _scale(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> int:
     """Units a second of the times of a track or a movie (8.2.2, 8.4.2)."""
-    found, data = _inside(file, span, path), b""
-    if found is not None:
-        file.seek(found[0])
-        data = file.read(min(24, found[1] - found[0]))
+    data = contents(file, span, path, 24)
     wide = data[:1] == b"\1"
     scale = int.from_bytes(data[20:24] if wide else data[12:16], "big")
     if not scale:
@@ -219,11 +221,10 @@ def _scale(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> int:
 
 def _sizes(file: BinaryIO, track: Track) -> np.ndarray:
     """(N,) bytes of each sample (8.7.3.2): one size for all, or a table."""
-    found = _inside(file, track.span, (*_TABLES, b"stsz"))
-    if found is None or found[1] - found[0] < 12:
+    data = contents(file, track.span, (*_TABLES, b"stsz"), 12)
+    if len(data) < 12:
         raise BrokenTrack("it has no table stsz")
-    file.seek(found[0] + 4)
-    size, count = (int(v) for v in np.frombuffer(file.read(8), ">u4"))
+    size, count = (int(v) for v in np.frombuffer(data[4:], ">u4"))
     if count > _MOST_SAMPLES:
         raise BrokenTrack(f"its table stsz has {count} samples, more than the {_MOST_SAMPLES} that are read")
     if size:
@@ -305,9 +306,6 @@ class OneVideoTrack(io.BufferedIOBase):
         """As of a file."""
         self._file.close()
         super().close()
-
-
-# --- boxes of an MP4 or QuickTime file -------------------------------------------------------------------------------
 
 
 def boxes(file: BinaryIO, kind: bytes, begin: int, end: int) -> Iterator[tuple[int, int]]:

@@ -18,7 +18,7 @@ from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import Tuning
+from tiegraph.scan.tuning import CameraTuning, Tuning
 from tiegraph.scan.views import into_views, perspective_views, two_lenses, with_lit_circle
 from tiegraph.scene.composed import wide_first
 from tiegraph.scene.decoding import EIGHT_BIT
@@ -66,30 +66,27 @@ def build_scene(
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = replace(usable_images(names, probes, report), video=inputs.video)
     # Rig, sensor and pass of the images, or of the views that panoramas and double fisheyes are cut into
-    cut = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning)
-    cut = cut or perspective_views(usable, inputs.rig, settings, report, tuning)
+    cut = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning.rig)
+    cut = cut or perspective_views(usable, inputs.rig, settings, report)
     if cut is None:
         survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
         pictures = ImageFiles(names, probes, names)
     else:
         survey, pictures = cut
     survey = _one_size(survey, pictures.names, pictures.probes, report)
-    survey = into_frames(survey, pictures.files, settings.frames, report, tuning.frames)
+    survey = into_frames(survey, pictures.files, settings.frames, report)
     need_two(len(survey.shots), report)
     sizes = {k: _facts(shots, pictures.probes, survey.loose).size for k, shots in _sensors(survey).items()}
-    survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
+    survey = with_camera(survey, sizes, inputs.camera, report.notes)
     if inputs.start is not None:
         must_be_whole(inputs.start, cut is None)
     for start in filter(None, (inputs.start, inputs.cameras if cut is None else None)):
-        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names, tuning.rig.camera)
-    rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning)
-    rigs, survey, views = into_views(rigs, survey, pictures, settings, report, tuning.lens_views, tuning.panorama)
+        survey = with_start_cameras(survey, sizes, start, report.notes, pictures.names)
+    rigs, survey = _rigs(survey, pictures.probes, settings, report, tuning.rig.camera)
+    rigs, survey, views = into_views(rigs, survey, pictures, settings, report)
     if inputs.start is not None:
         must_be_whole(inputs.start, views.names is pictures.names)
-    return _scene(inputs, views, rigs, survey, settings, report, tuning)
-
-
-# --- sizes and frames -----------------------------------------------------------------------------------------------
+    return _scene(inputs, views, rigs, survey, settings, report)
 
 
 def _sensors(survey: Survey) -> dict[tuple[int, int], list[Shot]]:
@@ -126,11 +123,8 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
     return replace(survey, shots=tuple(sorted(kept, key=lambda s: s.image)))
 
 
-# --- cameras and rigs -----------------------------------------------------------------------------------------------
-
-
 def _rigs(
-    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: Tuning
+    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: CameraTuning
 ) -> tuple[tuple[Rig, ...], Survey]:
     groups = _sensors(survey)
     hows: dict[str, list[str]] = {}
@@ -145,7 +139,7 @@ def _rigs(
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
             facts = _facts(groups[r, k], probes, survey.loose)
-            camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
+            camera, source, how = calibrate(sensor, facts, spec.file, settings, tuning)
             hows.setdefault(how, []).append(sensor.name)
             made = Sensor(
                 name=sensor.name,
@@ -158,7 +152,7 @@ def _rigs(
                 sigma_m=sensor.sigma_m,
                 camera_sigma_px=sensor.camera_sigma_px,
             )
-            sensors.append(with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views))
+            sensors.append(with_lit_circle(made, [probes[s.image] for s in groups[r, k]]))
         rigs.append(
             Rig(
                 name=spec.name,
@@ -208,12 +202,9 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
     return tuple((np.linalg.inv(pose) @ [*spec.antenna_m, 1.0])[:3].tolist())
 
 
-# --- the scene ------------------------------------------------------------------------------------------------------
-
-
 def _scene(
     inputs: ScanInputs, pictures: ImageFiles, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings,
-    report: Report, tuning: Tuning,
+    report: Report,
 ) -> Scene:  # fmt: skip
     given = [pictures.names[s.image] for s in survey.shots]
     safe = safe_names(given)
@@ -227,7 +218,7 @@ def _scene(
     frames = Frames(
         rows=rows, sequences=sequences, names=sources, exif=exif, rigs=rigs, specs=survey.specs, sensors=sensors
     )
-    priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings, tuning)
+    priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     if missing := sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows):
         report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from tiegraph.geometry.geodesy import utm_by_name
+from tiegraph.scene.cells import number
 from tiegraph.scene.gnss.fixes import HEIGHTS_M
 from tiegraph.settings import Section
 from tiegraph.text import composed
@@ -94,11 +95,8 @@ def video_offsets(words: tuple[str, ...]) -> VideoOffsets:
     """``scan.video_offset`` read. Raises ValueError for words of another form."""
     found: dict[tuple[bool, str], float] = {}  # the key of "end" has no name
     for word in words:
-        name, equals, number = word.rpartition("=")
-        try:
-            seconds = 0.0 if word == "end" else float(number)
-        except ValueError:
-            seconds = float("nan")
+        name, equals, text = word.rpartition("=")
+        seconds = 0.0 if word == "end" else number(text)
         if (equals and not name) or not isfinite(seconds) or (word == "end", name) in found:
             form = "NAME=SECONDS (the video's name without ending), SECONDS or end"
             raise ValueError(f"{word!r}: give {form}, each once")

@@ -45,7 +45,6 @@ from typing import BinaryIO
 import numpy as np
 
 from tiegraph.scan.recording import BrokenTrack, Fixes, Readings, Samples, believed, samples, tracks
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.times import DAY_S
@@ -123,7 +122,7 @@ class Telemetry:
     note: str
 
 
-def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetry | None:
+def read_gpmf(video: Path, max_gap_s: float) -> Telemetry | None:
     """The telemetry of a GoPro's video; None for a file without such a track. Damage is noted, never raised."""
     try:
         with regular(video, None).open("rb") as file:
@@ -138,9 +137,9 @@ def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetr
     kind = "GPS9" if found["GPS9"] else "GPS5"
     if not any(len(p) for p in found[kind]):
         return Telemetry(None, np.nan, "; ".join(filter(None, ["its GPMF track has no fixes of a receiver", damaged])))
-    kept, words = believed(Readings.concatenate(found[kind]), tuning)
+    kept, words = believed(Readings.concatenate(found[kind]))
     where = "above the sea" if above_sea else "above the ellipsoid"
-    start, begins = _start(kept, tuning)
+    start, begins = _start(kept)
     said = [begins, f"positions from its GPMF track ({kind}): {words}, heights {where}", damaged]
     fixes = Fixes(kept.stamp_s, kept.lat_lon_height, max_gap_s) if len(kept) else None
     return Telemetry(fixes, start, "; ".join(filter(None, said)))
@@ -207,7 +206,7 @@ def _gps9(stream: _Stream) -> Readings:
     return Readings(np.full(len(rows), np.nan), time, rows[:, :3], fix=rows[:, 8], dop=rows[:, 7])
 
 
-def _start(kept: Readings, tuning: PicturesTuning) -> tuple[float, str]:
+def _start(kept: Readings) -> tuple[float, str]:
     """Start of the video by the times of its receiver (s since 1970, UTC), and in words; NaN if there are none."""
     late = (kept.time_s - kept.stamp_s)[np.isfinite(kept.time_s)]
     if not len(late):
@@ -215,7 +214,7 @@ def _start(kept: Readings, tuning: PicturesTuning) -> tuple[float, str]:
     start = float(np.median(late))
     spread = float(np.median(np.abs(late - start)))
     second, part = divmod(round(1e6 * start), 10**6)
-    doubt = f", which contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
+    doubt = f", which contradict each other by {spread:.1f} s" if spread > 0.5 else ""  # payloads differ by 0.1
     when = f"{date_text(second)}.{part // 1000:03d} UTC"
     return start, f"begins at {when} by {len(late)} times of its receiver{doubt}"
 

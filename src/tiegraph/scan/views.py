@@ -32,10 +32,10 @@ from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.prepare import Report, Usable
 from tiegraph.scan.rigfiles.rigfaults import lens_fault
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
-from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient, preset_sizes
+from tiegraph.scan.rigfiles.rigspec import CIRCLE_DEG, START_FOCAL, RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.telemetry import FactoryLens, factory_lenses
-from tiegraph.scan.tuning import LensViewsTuning, PanoramaTuning, Tuning
+from tiegraph.scan.tuning import FoldersTuning, RigTuning
 from tiegraph.scene.images import Probe
 from tiegraph.scene.rig import LensView, Rig, Sensor, Source
 from tiegraph.scene.wideviews import is_fisheye, seen, seen_half_deg
@@ -44,6 +44,15 @@ from tiegraph.text import some
 PRESET = "panorama"
 NAMES = ("lens0", "lens1")
 _FRONT = "front"
+# Like the side cameras of a Ladybug, for the same offsets and sections as such a rig; and one up
+_AROUND = 5  # level views of a panorama
+_HFOV_DEG = (
+    80.0  # of a view: 8 degrees more than a fifth of the circle, so that features at the edges have surroundings
+)
+_VFOV_DEG = 90.0  # likewise, and width and height of a view of a single fisheye lens
+_REACH_DEG = 88.0  # off the axis in views of a lens: at 90 COLMAP's lenses end, and the last pixels would be black
+_WIDER_DEG = 150.0  # a lens that sees more is cut into views: at its rim a pixel counts 15 times and more in a plane
+_MOST_SIGMA = 0.0075  # relative sigma of the focal length of a lens that is cut into views: they hold it fixed
 
 
 def _order(survey: Survey) -> str:
@@ -52,7 +61,7 @@ def _order(survey: Survey) -> str:
 
 
 def perspective_views(
-    usable: Usable, rig: str | None, settings: ScanSettings, report: Report, tuning: Tuning
+    usable: Usable, rig: str | None, settings: ScanSettings, report: Report
 ) -> tuple[Survey, ImageFiles] | None:
     """Views of a survey of panoramas, and their owners; None if it is none.
 
@@ -75,8 +84,8 @@ def perspective_views(
     kept = of_one_kind(usable, full, could, "not a panorama, as most images here are", report)
     spheres = [p.sphere for p in kept.probes if p.sphere is not None]
     width = sorted(s.width for s in spheres)[len(spheres) // 2]
-    spec = panorama_rig(width, tuning.panorama)
-    survey, images = share_files(kept, spec, settings, tuning)
+    spec = panorama_rig(width)
+    survey, images = share_files(kept, spec, settings)
     columns, rows = spec.sensors[0].size or (0, 0)
     cameras = [pycolmap.Camera(model=s.model, width=columns, height=rows, params=s.params) for s in spec.sensors]
     turns = [np.reshape(s.view_of_panorama, (3, 3)) for s in spec.sensors]
@@ -115,12 +124,12 @@ def of_one_kind(
     return replace(usable, images=tuple(usable.images[k] for k in kept), names=names, probes=probes)
 
 
-def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> tuple[Survey, ImageFiles]:
+def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings) -> tuple[Survey, ImageFiles]:
     """The images of a rig's sensors from each file, named like it in a folder of the sensor's name, with the
     probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
     exif, sizes = usable.facts()
-    layout = guess_layout(usable.names, exif, sizes, kind, tuning.folders)
+    layout = guess_layout(usable.names, exif, sizes, kind, FoldersTuning())
     views: list[str] = []
     shots: list[Shot] = []
     for name, place in zip(usable.names, layout.places):
@@ -134,17 +143,16 @@ def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: T
     return Survey((spec,), tuple(shots), layout.order.loose), ImageFiles(views, probes, files)
 
 
-def panorama_rig(width_px: int, tuning: PanoramaTuning) -> RigSpec:
+def panorama_rig(width_px: int) -> RigSpec:
     """The rig of pinhole views into which a panorama of a width is unfolded, at the resolution of its horizon."""
     focal = width_px / (2 * np.pi)
-    width, height = (2 * round(focal * np.tan(np.radians(v) / 2)) for v in (tuning.hfov_deg, tuning.vfov_deg))
-    around = tuning.around
-    poses = [orient(360.0 / around * k, 0, 0) for k in range(around)] + [orient(0, 90, 0)]
+    width, height = (2 * round(focal * np.tan(np.radians(v) / 2)) for v in (_HFOV_DEG, _VFOV_DEG))
+    poses = [orient(360.0 / _AROUND * k, 0, 0) for k in range(_AROUND)] + [orient(0, 90, 0)]
     sensors = tuple(
         SensorSpec(
             name=f"view{k}",
             folder=f"view{k}",
-            role="up" if k == around else "side",
+            role="up" if k == _AROUND else "side",
             body_from_sensor=rigid(pose, np.zeros(3)),
             model="SIMPLE_PINHOLE",
             size=(width, height),
@@ -157,7 +165,7 @@ def panorama_rig(width_px: int, tuning: PanoramaTuning) -> RigSpec:
 
 
 def two_lenses(
-    usable: Usable, rig: str | None, text: str | None, settings: ScanSettings, report: Report, tuning: Tuning
+    usable: Usable, rig: str | None, text: str | None, settings: ScanSettings, report: Report, tuning: RigTuning
 ) -> tuple[Survey, ImageFiles] | None:
     """The lenses' images of a survey whose files hold two circles each; None if it is none.
 
@@ -171,8 +179,8 @@ def two_lenses(
     if 2 * sum(both) <= len(both):
         return None
     kept = of_one_kind(usable, both, [True] * len(both), "not two fisheye images, as most files here are", report)
-    spec = _nominal(kept.probes, report, tuning) if rig is None else _given(rig, text, tuning)
-    survey, images = share_files(kept, spec, settings, tuning)
+    spec = _nominal(kept.probes, report) if rig is None else _given(rig, text, tuning)
+    survey, images = share_files(kept, spec, settings)
     halves = []
     for probe, part in ((p, s.sensor) for p, s in zip(images.probes, survey.shots)):
         width = probe.width // len(NAMES)
@@ -184,8 +192,7 @@ def two_lenses(
     return survey, replace(images, names=jpeg, probes=halves)
 
 
-def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec:
-    across_deg = tuning.rig.camera.guessed_circle_deg
+def _nominal(probes: Sequence[Probe], report: Report) -> RigSpec:
     found = [p for p in probes if len(p.circles) == len(NAMES)]
     circles = np.median([p.circles for p in found], axis=0)  # (2, 3)
     width, height = found[0].width // len(NAMES), found[0].height
@@ -193,12 +200,12 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
     told = "rolled by the factory's values" if factory else "their rolls are unknown: taken as upright"
     rolled = [sum(lens.roll_deg for lens in pair) for pair in factory]
     roll = 90 * round(float(np.median(rolled)) / 90) if rolled else 0
-    measured = [_factory_camera(factory, k, (width, height), circles[k], tuning) for k in range(len(NAMES))]
+    measured = [_factory_camera(factory, k, (width, height), circles[k]) for k in range(len(NAMES))]
     sensors = []
     for k, name in enumerate(NAMES):
         x, y, radius = (float(v) for v in circles[k] - (k * width, 0, 0))
-        focal = radius / np.radians(across_deg / 2)
-        share = tuning.rig.camera.start_focal if all(measured) else tuning.lens_views.nominal_sigma
+        focal = radius / np.radians(CIRCLE_DEG / 2)
+        share = START_FOCAL if all(measured) else 0.05
         params = measured[k] if all(measured) else (focal, focal, x, y, 0.0, 0.0, 0.0, 0.0)
         sensors.append(
             SensorSpec(
@@ -212,7 +219,7 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
                 part=k,
             )
         )
-    seen = f"each with an assumed field of view of {across_deg:g} degrees across its circle"
+    seen = f"each with an assumed field of view of {CIRCLE_DEG:g} degrees across its circle"
     if all(measured):
         seen = "their initial distortion is the factory's, which fits the circles of the pictures"
     elif any(lens.sphere for pair in factory for lens in pair):
@@ -222,9 +229,8 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
 
 
 def _factory_camera(
-    factory: Sequence[tuple[FactoryLens, FactoryLens]], number: int, size: tuple[int, int], circle: np.ndarray,
-    tuning: Tuning,
-) -> tuple[float, ...]:  # fmt: skip
+    factory: Sequence[tuple[FactoryLens, FactoryLens]], number: int, size: tuple[int, int], circle: np.ndarray
+) -> tuple[float, ...]:
     """Parameters of OPENCV_FISHEYE by the factory of most of the files' cameras."""
     told = Counter(pair for pair in factory if pair[number].sphere)
     if not told:
@@ -233,21 +239,20 @@ def _factory_camera(
     with np.errstate(all="ignore"):
         params = lens.opencv_fisheye(number, size[0])
         scale = size[0] * len(NAMES) / lens.size[0]
-        first, last = scale * lens.radius_px(np.radians(tuning.lens_views.factory_edge_deg))
+        first, last = scale * lens.radius_px(np.radians([90.0, 106.0]))  # lenses see 95 to 102 degrees off the axis
     x, y, radius = circle - (number * size[0], 0, 0)
-    near = tuning.lens_views.factory_off * radius
-    if not len(params) or not np.hypot(params[2] - x, params[3] - y) <= near or not first <= radius <= last:
+    if not len(params) or not np.hypot(params[2] - x, params[3] - y) <= 0.02 * radius or not first <= radius <= last:
         return ()
     camera = pycolmap.Camera(model="OPENCV_FISHEYE", width=size[0], height=size[1], params=params)
-    return () if lens_fault(camera, tuning.rig.camera) else params
+    return () if lens_fault(camera) else params
 
 
-def _given(rig: str, text: str | None, tuning: Tuning) -> RigSpec:
-    if text is None and preset_sizes(rig, tuning.rig):
+def _given(rig: str, text: str | None, tuning: RigTuning) -> RigSpec:
+    if text is None and preset_sizes(rig, tuning):
         raise InputError(
             f"--rig {rig}: the files hold two fisheye images each: give a rig file with two sensors, or none"
         )
-    specs = read_rig_file(rig, tuning.rig, text)
+    specs = read_rig_file(rig, tuning, text)
     count = sum(len(s.sensors) for s in specs)
     if len(specs) != 1 or count != len(NAMES):
         raise InputError(
@@ -260,7 +265,7 @@ def _given(rig: str, text: str | None, tuning: Tuning) -> RigSpec:
     return replace(specs[0], sensors=(one, other), synchronised=True)
 
 
-def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTuning) -> Sensor:
+def with_lit_circle(sensor: Sensor, probes: Sequence[Probe]) -> Sensor:
     """A sensor with the circle that its fisheye lens lights, without the blurred rim, if most of its images have one.
 
     The median over the images of those circles whose centre remains after cropping.
@@ -276,15 +281,14 @@ def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTu
     if 2 * len(found) <= len(probes):
         return sensor
     x, y, radius = (float(v) for v in np.median(found, axis=0))
-    return replace(sensor, source=replace(source, circle_px=(x - left, y - top, radius * (1 - tuning.rim))))
+    return replace(sensor, source=replace(source, circle_px=(x - left, y - top, 0.97 * radius)))
 
 
 def into_views(
-    rigs: tuple[Rig, ...], survey: Survey, pictures: ImageFiles, settings: ScanSettings, report: Report,
-    tuning: LensViewsTuning, level: PanoramaTuning,
-) -> tuple[tuple[Rig, ...], Survey, ImageFiles]:  # fmt: skip
+    rigs: tuple[Rig, ...], survey: Survey, pictures: ImageFiles, settings: ScanSettings, report: Report
+) -> tuple[tuple[Rig, ...], Survey, ImageFiles]:
     """The survey with views instead of wide fisheye images. Raises InputError if they are requested and impossible."""
-    cut = {(r, k): _why_not(s, settings, tuning) for r, rig in enumerate(rigs) for k, s in enumerate(rig.sensors)}
+    cut = {(r, k): _why_not(s, settings) for r, rig in enumerate(rigs) for k, s in enumerate(rig.sensors)}
     reasons = sorted({why for why in cut.values() if why is not None}, key=lambda why: why == "")
     for why in reasons:
         those = some(rigs[r].sensors[k].name for (r, k), w in cut.items() if w == why)
@@ -297,7 +301,7 @@ def into_views(
             f"{those}: fisheye images are used whole, with few ties far off their axis, because {why}; with its "
             "distortion in a rig file (`tiegraph rig OUT` of this run) they are cut into views and used nearly up to 90"
             if why
-            else f"{those}: each fisheye image is cut into views up to {tuning.reach_deg:g} degrees off its axis"
+            else f"{those}: each fisheye image is cut into views up to {_REACH_DEG:g} degrees off its axis"
         )
     if not any(why == "" for why in cut.values()):
         return rigs, survey, pictures
@@ -306,7 +310,7 @@ def into_views(
     for r, rig in enumerate(rigs):
         sensors: list[Sensor] = []
         for k, sensor in enumerate(rig.sensors):
-            views = _lens_views(sensor, *_turns(rig, k, tuning, level)) if cut[r, k] == "" else [sensor]
+            views = _lens_views(sensor, *_turns(rig, k)) if cut[r, k] == "" else [sensor]
             places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
             sensors += views
         # A measurement between two lenses also holds between their front views, which have their centres and axes.
@@ -330,39 +334,36 @@ def into_views(
     return tuple(made), replace(survey, shots=tuple(shots)), made_of
 
 
-def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) -> str | None:
+def _why_not(sensor: Sensor, settings: ScanSettings) -> str | None:
     """ "" for a sensor whose images are cut into views; a reason against it that users should know; else None."""
     camera = sensor.camera
     if settings.fisheye == "whole" or camera is None or not is_fisheye(camera):
         return None
-    wide = seen_half_deg(camera)
-    if settings.fisheye == "auto" and wide < tuning.wider_deg / 2:
+    if settings.fisheye == "auto" and seen_half_deg(camera) < _WIDER_DEG / 2:
         return None
     bent = bool(np.any(np.asarray(camera.params)[camera.extra_params_idxs()]))
     known = camera.has_prior_focal_length and (bent or settings.fisheye == "views")
     if not known:
         return "its lens is not calibrated"
-    rough = (sensor.camera_sigma_px or 0.0) > tuning.most_sigma * camera.mean_focal_length()
-    start = f"its calibration is an initial value (sigma of the focal length above {100 * tuning.most_sigma:g} %)"
+    rough = (sensor.camera_sigma_px or 0.0) > _MOST_SIGMA * camera.mean_focal_length()
+    start = f"its calibration is an initial value (sigma of the focal length above {100 * _MOST_SIGMA:g} %)"
     return start if rough and settings.fisheye == "auto" else ""
 
 
-def _turns(
-    rig: Rig, sensor: int, tuning: LensViewsTuning, level: PanoramaTuning
-) -> tuple[dict[str, np.ndarray], tuple[float, float]]:
+def _turns(rig: Rig, sensor: int) -> tuple[dict[str, np.ndarray], tuple[float, float]]:
     """The views of a lens: view_from_lens (3, 3) by name, as far as the reach, and their fields of view, degrees: one
     ahead and four around; of a 360 camera level ones as wide and high as a panorama's, one ahead, two to the sides."""
-    upright = _upright(rig, sensor, tuning)
+    upright = _upright(rig, sensor)
     if upright is None:
-        off = tuning.reach_deg - level.vfov_deg / 2
+        off = _REACH_DEG - _VFOV_DEG / 2
         ways = {_FRONT: (0.0, 0.0), "right": (off, 0.0), "left": (-off, 0.0), "up": (0.0, off), "down": (0.0, -off)}
-        return {n: orient(*way, 0).T for n, way in ways.items()}, (level.vfov_deg, level.vfov_deg)
-    off = tuning.reach_deg - level.hfov_deg / 2
+        return {n: orient(*way, 0).T for n, way in ways.items()}, (_VFOV_DEG, _VFOV_DEG)
+    off = _REACH_DEG - _HFOV_DEG / 2
     turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in ((_FRONT, 0.0), ("right", off), ("left", -off))}
-    return turns, (level.hfov_deg, level.vfov_deg)
+    return turns, (_HFOV_DEG, _VFOV_DEG)
 
 
-def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | None:
+def _upright(rig: Rig, sensor: int) -> np.ndarray | None:
     """The rotation (3, 3) about its axis that makes a lens' image upright, none or a quarter, by the lens in the
     opposite direction; None if there is none. The sense of a quarter is unknown."""
     mine = rig.sensors[sensor].sensor_from_rig
@@ -370,7 +371,7 @@ def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | Non
         if mine is None or other.sensor_from_rig is None or not is_fisheye(other.camera):
             continue
         turn = Rotation.from_matrix(mine[:3, :3] @ other.sensor_from_rig[:3, :3].T).as_rotvec()
-        if mine[2, :3] @ other.sensor_from_rig[2, :3] <= np.cos(np.radians(tuning.back_to_back_deg)):
+        if mine[2, :3] @ other.sensor_from_rig[2, :3] <= np.cos(np.radians(150.0)):
             return orient(0, 0, 90.0 if abs(turn[0]) > abs(turn[1]) else 0.0)
     return None
 

@@ -148,9 +148,6 @@ def same_file(path: Path, other: Path) -> None:
             shutil.copyfile(path, temporary)
 
 
-# --- files of the user ------------------------------------------------------------------------------------------------
-
-
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a named pipe"),

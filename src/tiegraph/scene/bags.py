@@ -90,6 +90,7 @@ class Bag:
 
     def __init__(self, path: Path, reader: Any, decoded: Callable[[bytes, str], Any]) -> None:
         self.path, self._reader, self._decoded = path, reader, decoded
+        self._name = clean(str(path))
         self._connections: dict[Topic, list[Any]] = {}
         by_name: dict[tuple[str, str], list[Any]] = {}
         for connection in reader.connections:
@@ -121,9 +122,9 @@ class Bag:
             mine = [t for t in self.topics if in_full(t.name) == name]
             if not set(mine) & set(found):
                 what = f"topic {mine[0]} has no messages of" if mine else f"has no topic {clean(name)} of"
-                raise InputError(f"{self._named()}: {what} {_either(kinds)}; {self._listed(found)}")
+                raise InputError(f"{self._name}: {what} {_either(kinds)}; {self._listed(found)}")
         if not found:
-            raise InputError(f"{self._named()}: no messages of {_either(kinds)}; {self._listed([])}")
+            raise InputError(f"{self._name}: no messages of {_either(kinds)}; {self._listed([])}")
         return [t for t in found if in_full(t.name) in asked] if asked else found
 
     def only(self, kinds: Sequence[str], asked: Sequence[str]) -> Topic:
@@ -131,11 +132,8 @@ class Bag:
         found = self.of_kinds(kinds, asked)
         if len(found) > 1 or len(asked) > 1:
             one = of_topic(self.path, found[0].name)
-            raise InputError(f"{self._named()}: {self._listed(found)}: name one of them, such as {clean(str(one))}")
+            raise InputError(f"{self._name}: {self._listed(found)}: name one of them, such as {clean(str(one))}")
         return found[0]
-
-    def _named(self) -> str:
-        return clean(str(self.path))
 
     def _listed(self, topics: Sequence[Topic]) -> str:
         """Topics in words; if there are none, all topics of the bag."""

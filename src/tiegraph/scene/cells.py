@@ -137,9 +137,6 @@ def in_seconds(times: np.ndarray) -> np.ndarray:
     return next((times * factor for limit, factor in factors if size > limit), times)
 
 
-# --- columns ---------------------------------------------------------------------------------------------------------
-
-
 ROLES: dict[str, tuple[str, ...]] = {
     "image": ("image", "file", "filename", "file_name", "image_name", "imagename", "photo", "photo_name", "sourcefile",
               "bild", "bildname", "foto", "imagen", "imagem", "immagine", "画像", "画像名", "照片"),

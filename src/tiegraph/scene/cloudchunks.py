@@ -232,9 +232,6 @@ def _records(part: Measured, header: laspy.LasHeader, shift: np.ndarray) -> lasp
     return record
 
 
-# --- E57 --------------------------------------------------------------------------------------------------------------
-
-
 def write_e57(clouds: Iterable[Cloud], path: Path) -> int:
     """Write clouds with their colours, each as a scan of its own in coordinates of the CRS; how many points they have.
 

@@ -24,22 +24,12 @@ _OF_SPACING, _OF_EXTENT = 1e-2, 1e-6
 _FAR = 1e5  # coordinates beyond this get an offset of their own
 _EXTRA = (("sigma_m", "f4"), ("views", "u1"), ("NormalX", "f4"), ("NormalY", "f4"), ("NormalZ", "f4"))
 _CHUNK = 1_000_000
-_PLY = (
-    ("x", "<f8", "double"), ("y", "<f8", "double"), ("z", "<f8", "double"),
-    ("nx", "<f4", "float"), ("ny", "<f4", "float"), ("nz", "<f4", "float"),
-    ("red", "u1", "uchar"), ("green", "u1", "uchar"), ("blue", "u1", "uchar"),
-    ("sigma_m", "<f4", "float"), ("views", "u1", "uchar"),
-)  # fmt: skip
-_C_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-}
+_PLY_NAMES = {"nx": "NormalX", "ny": "NormalY", "nz": "NormalZ", "sigma_m": "sigma_m", "views": "views"}
+_C_TYPES: dict[str, str] = dict(
+    zip("char uchar short ushort int uint float double".split(), "i1 u1 i2 u2 i4 u4 f4 f8".split())
+)
+_PLY = [*((n, "double") for n in "xyz"), *((f"n{n}", "float") for n in "xyz")]
+_PLY += [*((n, "uchar") for n in ("red", "green", "blue")), ("sigma_m", "float"), ("views", "uchar")]
 _PLY_TYPES = _C_TYPES | {np.dtype(kind).name: kind for kind in _C_TYPES.values()}
 
 
@@ -254,12 +244,12 @@ def _ply_header(origin: Origin | None, count: int, said: str) -> bytes:
         lines.append("comment shift_m {!r} {!r} {!r} (added in this file)".format(*origin.shift_m))
     # The count is known at the end only: padded, so that the header keeps its length.
     lines.append(f"element vertex {count:<15d}")
-    lines += [f"property {kind} {name}" for name, _, kind in _PLY]
+    lines += [f"property {kind} {name}" for name, kind in _PLY]
     return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
 
 
 def _ply_rows(cloud: Cloud, shift: np.ndarray) -> np.ndarray:
-    rows = np.zeros(len(cloud), dtype=[(name, kind) for name, kind, _ in _PLY])
+    rows = np.zeros(len(cloud), dtype=[(name, f"<{_C_TYPES[kind]}") for name, kind in _PLY])
     for k, name in enumerate("xyz"):
         rows[name] = cloud.xyz_m[:, k] + shift[k]
         rows[f"n{name}"] = cloud.normal[:, k]
@@ -280,9 +270,6 @@ def _read_ply(path: Path, origin: Origin | None) -> Cloud:
         rgb = np.stack([rows[c] for c in ("red", "green", "blue")], axis=1).astype(np.uint8)
     columns = {new: rows[old] for old, new in _PLY_NAMES.items() if old in names}
     return _cloud(xyz, rgb, columns, origin if origin is not None else header.origin)
-
-
-_PLY_NAMES = {"nx": "NormalX", "ny": "NormalY", "nz": "NormalZ", "sigma_m": "sigma_m", "views": "views"}
 
 
 @dataclass(frozen=True)

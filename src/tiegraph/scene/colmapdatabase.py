@@ -68,13 +68,13 @@ class Rows:
     def inlier_counts(self, table: str = "two_view_geometries") -> np.ndarray:
         """(P, 3) i8: both image ids and the number of verified matches of each verified pair, or of raw ``matches``."""
         found = self._connection.execute(f"SELECT pair_id, rows FROM {table} WHERE rows > 0").fetchall()
-        return np.array([(*_images(pair), count) for pair, count in found], int).reshape(-1, 3)
+        return np.array([(*divmod(pair, MAX_IMAGES), count) for pair, count in found], int).reshape(-1, 3)
 
     def verified(self) -> Iterator[tuple[int, int, np.ndarray]]:
         """Both image ids and the verified matches (K, 2) i8 of each verified pair."""
         query = "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0"
         for pair, rows, data in self._connection.execute(query):
-            yield *_images(pair), _matches(rows, data)
+            yield *divmod(pair, MAX_IMAGES), _matches(rows, data)
 
     def verified_of(self, a: int, b: int) -> np.ndarray:
         """(K, 2) i8 verified matches of two images, in their order; none if there are none."""
@@ -109,10 +109,6 @@ class Rows:
             cameras[key] = pycolmap.Camera(camera_id=key, model=model, width=width, height=height, params=params)
             cameras[key].has_prior_focal_length = bool(prior)
         return {k: cameras[c] for k, c in self._connection.execute("SELECT image_id, camera_id FROM images")}
-
-
-def _images(pair_id: int) -> tuple[int, int]:
-    return pair_id // MAX_IMAGES, pair_id % MAX_IMAGES
 
 
 def _matches(rows: int, data: bytes) -> np.ndarray:
@@ -157,8 +153,8 @@ def write_features(path: Path, batch: Sequence[Features]) -> None:
 
 def feature_counts(path: Path) -> dict[int, int]:
     """Number of features (also 0) by scene index, of the images whose key points and descriptors are in and agree."""
-    with reading(path) as cursor:
-        rows = cursor.execute(
+    with _opened(path) as connection:
+        rows = connection.execute(
             "SELECT k.image_id - 1, k.rows FROM keypoints k JOIN descriptors d USING (image_id) WHERE k.rows = d.rows"
         )
         return dict(rows.fetchall())
@@ -214,9 +210,11 @@ def strike(path: Path, configuration: int) -> None:
 
 def match_counts(path: Path, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Matches, verified matches and kind of geometry (P,) of each pair; -1 = it is not there."""
-    with reading(path) as cursor:
-        matches = dict(cursor.execute("SELECT pair_id, rows FROM matches"))
-        rows = {pair: more for pair, *more in cursor.execute("SELECT pair_id, rows, config FROM two_view_geometries")}
+    with _opened(path) as connection:
+        matches = dict(connection.execute("SELECT pair_id, rows FROM matches"))
+        rows = {
+            pair: more for pair, *more in connection.execute("SELECT pair_id, rows, config FROM two_view_geometries")
+        }
     asked = pair_ids(pairs).tolist()
     verified = np.array([rows.get(pair, (-1, -1)) for pair in asked], np.int64).reshape(-1, 2)
     return np.array([matches.get(pair, -1) for pair in asked], np.int64), verified[:, 0], verified[:, 1]
@@ -253,17 +251,17 @@ def copy_features(source: Path, path: Path, images: np.ndarray, alias: str) -> N
 def take_matches(path: Path, block: Path) -> None:
     """Write all matches and geometries of another database into this one. Raises as ``explained``, for the database
     at fault."""
-    with reading(block) as cursor:
-        rows = {table: cursor.execute(f"SELECT * FROM {table}").fetchall() for table in _MADE}
-        names = {table: _columns(cursor, table) for table in _MADE}
+    with _opened(block) as connection:
+        rows = {table: connection.execute(f"SELECT * FROM {table}").fetchall() for table in _MADE}
+        names = {table: _columns(connection, table) for table in _MADE}
     with transaction(path) as cursor:
         for table in _MADE:
             values = ", ".join("?" * (names[table].count(",") + 1))
             cursor.executemany(f"INSERT INTO {table} ({names[table]}) VALUES ({values})", rows[table])
 
 
-def _columns(cursor: sqlite3.Cursor | sqlite3.Connection, table: str) -> str:
-    return ", ".join(row[1] for row in cursor.execute(f"PRAGMA main.table_info({table})"))
+def _columns(connection: sqlite3.Connection, table: str) -> str:
+    return ", ".join(row[1] for row in connection.execute(f"PRAGMA main.table_info({table})"))
 
 
 def copy_verified(source: Path, path: Path, names: set[str] | None, refused: Sequence[tuple[str, str]]) -> None:
@@ -295,13 +293,6 @@ def transaction(path: Path) -> Iterator[sqlite3.Cursor]:
             if connection.in_transaction:
                 cursor.execute("ROLLBACK")
             raise
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Cursor]:
-    """A cursor for reading."""
-    with _opened(path) as connection:
-        yield connection.cursor()
 
 
 @contextmanager

@@ -31,6 +31,7 @@ from tiegraph.text import one_line
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
 MAX_IMAGES = 2147483647
 _POSE = 7 * 8  # a quaternion and a translation
+_OF_NUMBERS = frozenset("0123456789.+-eE \t\r")
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
@@ -108,9 +109,6 @@ def _image_lines(path: Path) -> tuple[dict[int, str], list[str]]:
     return names, lines
 
 
-_OF_NUMBERS = frozenset("0123456789.+-eE \t\r")
-
-
 def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:
     """Raise InputError for an unreadable file, or one whose records do not fill it.
 
@@ -184,14 +182,8 @@ def matrix(transform: pycolmap.Rigid3d) -> np.ndarray:
 
 def rigid3d(target_from_source: np.ndarray) -> pycolmap.Rigid3d:
     """COLMAP rigid transform of (4, 4)."""
-    return rigids3d(target_from_source[None])[0]
-
-
-def rigids3d(target_from_source: np.ndarray) -> list[pycolmap.Rigid3d]:
-    """COLMAP rigid transforms of (N, 4, 4)."""
-    quaternions = transforms.quaternion_xyzw(target_from_source[:, :3, :3])
-    places = np.asarray(target_from_source[:, :3, 3], float)
-    return [pycolmap.Rigid3d(pycolmap.Rotation3d(q), t) for q, t in zip(quaternions, places)]
+    turn = pycolmap.Rotation3d(transforms.quaternion_xyzw(target_from_source[:3, :3]))
+    return pycolmap.Rigid3d(turn, np.asarray(target_from_source[:3, 3], float))
 
 
 def add_rig(
@@ -279,9 +271,6 @@ def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[R
     return tuple(out)
 
 
-# --- registered images ------------------------------------------------------------------------------------------------
-
-
 BY_RIG = "placed by the rig"  # the name of the others in tables
 _ASKED = 100  # points of an image that are tested; of more, some that are spread evenly
 LEFT_OUT = "left out: "  # begin of the reason for an image that had a wrong position
@@ -330,9 +319,6 @@ def _agreeing(model: Any, image: Any, tuning: RegisteredTuning) -> int:
     place = np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead]), float)
     off = np.linalg.norm(place - np.array([p.xy for p in asked])[ahead], axis=1)
     return round(float(np.sum(off < tuning.agree_px)) / len(asked) * len(rows))  # NaN counts as disagreement
-
-
-# --- adjustments ------------------------------------------------------------------------------------------------------
 
 
 # COLMAP replaces the sparse factorisation by an iterative solver at 1000 images, rig or not. Factorised are

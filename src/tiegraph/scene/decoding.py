@@ -26,7 +26,6 @@ _MISSING = {
     "HEIF": "HEIC is read by pi-heif, which is missing: pip install 'tiegraph[heif]'",
     "AVIF": "AVIF is read by Pillow 11.3 and newer: pip install -U pillow",
 }
-_NO_RAW = "raw files of cameras are read by rawpy, which is missing: pip install 'tiegraph[raw]'"
 
 Levels = tuple[float, float]
 """Values of a file that become 0 and 255."""
@@ -147,7 +146,8 @@ def _developed(data: bytes) -> np.ndarray:
     try:
         import rawpy
     except ImportError:
-        raise Unreadable(_NO_RAW) from None
+        text = "raw files of cameras are read by rawpy, which is missing: pip install 'tiegraph[raw]'"
+        raise Unreadable(text) from None
     try:
         with rawpy.imread(io.BytesIO(data)) as raw:
             return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, user_flip=0)

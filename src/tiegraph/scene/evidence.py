@@ -21,11 +21,11 @@ import numpy as np
 from scipy.special import fdtrc, ndtri, stdtr
 
 from tiegraph.geometry.align import MAD
-from tiegraph.scene.tuning import TrendTuning
 
 # The limit of a contradiction, everywhere: by the probability, for each test, that agreement is called one.
 CHANCE = 0.001
 LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
+_MIN_ROWS, _SIDE = 8, 3  # values that distinguish a trend from noise, and on either side of a step, at least
 RARELY = f"which chance does once in {1 / CHANCE:.0f} surveys at most"  # follows the result of a test below
 
 
@@ -121,13 +121,7 @@ class Trend:
         return f"jump by {self.end - self.start:+.2g} {unit} after {self.at:.0%} of the way"
 
 
-def trend(
-    values: np.ndarray,
-    tuning: TrendTuning,
-    tests: int = 1,
-    offset: bool = False,
-    sigma: np.ndarray | float = 1.0,
-) -> Trend | None:
+def trend(values: np.ndarray, tests: int = 1, offset: bool = False, sigma: np.ndarray | float = 1.0) -> Trend | None:
     """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
 
     ``offset``: or the constant, if they should be about zero. A step may have a line beside it: residuals of a
@@ -141,30 +135,29 @@ def trend(
     y = np.asarray(values, float)
     x, sigma = np.linspace(-1.0, 1.0, len(y)), np.broadcast_to(np.asarray(sigma, float), y.shape)
     keep = np.flatnonzero(np.isfinite(y))
-    if len(keep) >= tuning.min_rows:  # without values far from the middle between their neighbours
+    if len(keep) >= _MIN_ROWS:  # without values far from the middle between their neighbours
         told = (y / sigma)[keep]
         off = np.abs(told[1:-1] - 0.5 * (told[:-2] + told[2:]))
-        keep = keep[np.r_[True, off <= tuning.spike_sigmas * MAD * float(np.median(off)) + 1e-12, True]]
+        keep = keep[np.r_[True, off <= 6 * MAD * float(np.median(off)) + 1e-12, True]]
     x, y, sigma = x[keep], y[keep], sigma[keep]
-    if len(y) < tuning.min_rows or np.ptp(y) == 0:
+    if len(y) < _MIN_ROWS or np.ptp(y) == 0:
         return None
     one = np.ones(len(y))
     shapes = [("line", x[:, None]), ("curve", np.stack([x, x**2], axis=1))]
-    side = tuning.step_rows
-    shapes += [("step", _best_step(y, beside, sigma, side)) for beside in (one[:, None], np.stack([one, x], axis=1))]
+    shapes += [("step", _best_step(y, beside, sigma)) for beside in (one[:, None], np.stack([one, x], axis=1))]
     if offset:
         shapes.append(("offset", np.zeros((len(y), 0))))
-    places = len(y) - 2 * side + 1  # of a step
+    places = len(y) - 2 * _SIDE + 1  # of a step
     tries = {"step": tests * len(shapes) * places}
-    found = [_tested(y, sigma, n, s, tries.get(n, tests * len(shapes)), tuning) for n, s in shapes]
+    found = [_tested(y, sigma, n, s, tries.get(n, tests * len(shapes))) for n, s in shapes]
     best = min(found, key=lambda t: t.chance)
     return best if best.chance < CHANCE else None
 
 
-def _best_step(y: np.ndarray, beside: np.ndarray, sigma: np.ndarray, side: int) -> np.ndarray:
+def _best_step(y: np.ndarray, beside: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """The step that divides values (K,) best beside a form (K, P) that begins with a constant, which is omitted: (K, P)
-    with the step as its last column. At least ``side`` values on either side."""
-    cuts = np.arange(side, len(y) - side + 1)
+    with the step as its last column."""
+    cuts = np.arange(_SIDE, len(y) - _SIDE + 1)
     steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
     y, told = y / sigma, steps / sigma[:, None]
     base = np.linalg.qr(beside / sigma[:, None])[0]
@@ -173,13 +166,13 @@ def _best_step(y: np.ndarray, beside: np.ndarray, sigma: np.ndarray, side: int) 
     return np.column_stack([beside[:, 1:], steps[:, best]])
 
 
-def _tested(y: np.ndarray, sigma: np.ndarray, form: str, shape: np.ndarray, tries: int, tuning: TrendTuning) -> Trend:
+def _tested(y: np.ndarray, sigma: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
     """A form (K, P) fitted to values (K,), and the chance of its last column times the number of tries."""
     design = np.column_stack([np.ones(len(y)), shape])
     count, unknowns = design.shape
     told, seen = design / sigma[:, None], y / sigma
     plain = np.linalg.lstsq(told, seen, rcond=None)[0]
-    r = _correlation(seen - told @ plain, unknowns, tuning)
+    r = _correlation(seen - told @ plain, unknowns)
     white = [np.vstack([np.sqrt(1 - r * r) * a[:1], a[1:] - r * a[:-1]]) for a in (told, seen[:, None])]
     normal = np.linalg.pinv(white[0].T @ white[0])
     best = normal @ white[0].T @ white[1][:, 0]
@@ -196,13 +189,13 @@ def _tested(y: np.ndarray, sigma: np.ndarray, form: str, shape: np.ndarray, trie
     return Trend(form=form, start=float(line[0]), end=float(line[-1]), bow=bow, at=at, chance=chance, sigmas=sigmas)
 
 
-def _correlation(rest: np.ndarray, unknowns: int, tuning: TrendTuning) -> float:
+def _correlation(rest: np.ndarray, unknowns: int) -> float:
     """Lag-one correlation of residuals about a form, without bias and raised by some sigmas; from 0, below 1."""
     count = len(rest)
     r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
     r += (unknowns + (unknowns + 2) * r) / count
-    r += tuning.caution_sigmas * float(np.sqrt(max(1 - r * r, 0.0) / count))
-    return float(np.clip(r, 0.0, tuning.max_correlation))
+    r += 2 * float(np.sqrt(max(1 - r * r, 0.0) / count))
+    return float(np.clip(r, 0.0, 0.98))
 
 
 def figures(value: float, sigma: float) -> str:

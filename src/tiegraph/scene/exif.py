@@ -26,6 +26,7 @@ from tiegraph.scene.gnss.fixes import SIGMA_RANGE_M
 
 _DJI = "drone-dji"  # its namespace in XMP
 NAN = float("nan")
+_FOCAL_RANGE = (0.2, 20.0)  # plausible, in longer image sides: 136 degrees of view ... a 700 mm lens
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
 # Tags by which Adobe's programs write the same: tag, namespace and name in XMP.
 _BASE_IN_XMP = ((Base.Make, "tiff", "Make"), (Base.Model, "tiff", "Model"))
@@ -98,9 +99,9 @@ def orientation_in(image: Any) -> int:
     return int(number) if number in range(1, 9) else 1
 
 
-def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float]) -> Exif:
-    """EXIF of an opened PIL image of ``size`` (width, height). Damaged entries, and focal lengths outside a range (in
-    longer image sides), count as not written."""
+def read_exif(image: Any, size: tuple[int, int]) -> Exif:
+    """EXIF of an opened PIL image of ``size`` (width, height). Damaged entries and implausible focal lengths count as
+    not written."""
     try:
         base = image.getexif()
         detail, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
@@ -115,7 +116,7 @@ def read_exif(image: Any, size: tuple[int, int], focal_range: tuple[float, float
     return Exif(
         **vars(replace(place, time_s=time_s, utc=utc)),
         orientation=orientation_in(image),
-        focal_px=_focal(detail, size, focal_range),
+        focal_px=_focal(detail, size),
         zone_s=NAN if utc else _zone(gps, time_s),
         make=_text(base.get(Base.Make)),
         model=_text(base.get(Base.Model)),
@@ -143,21 +144,17 @@ def _place(gps: dict, xmp: Taken, rtk: bool) -> tuple[Taken, str]:
     below = gps.get(GPS.GPSAltitudeRef) in (1, 3, b"\x01", b"\x03", b"1", "1")
     height = _number(gps.get(GPS.GPSAltitude), NAN) * (-1 if below else 1)
     lat, lon = _angle(gps, GPS.GPSLatitude, "S"), _angle(gps, GPS.GPSLongitude, "W")
-    known, given = (
-        bool(_text(gps.get(GPS.GPSLatitudeRef)) and _text(gps.get(GPS.GPSLongitudeRef))),
-        GPS.GPSLatitude in gps or GPS.GPSLongitude in gps,
-    )
+    known = bool(_text(gps.get(GPS.GPSLatitudeRef)) and _text(gps.get(GPS.GPSLongitudeRef)))
+    given = GPS.GPSLatitude in gps or GPS.GPSLongitude in gps
     empty = np.isnan([lat, lon]).all() or (lat, lon) == (0, 0)
     coarser = empty or (_rounds(lat, xmp.lat_deg) and _rounds(lon, xmp.lon_deg))
     if coarser and np.isfinite([xmp.lat_deg, xmp.lon_deg]).all():
         lat, lon, known, given = xmp.lat_deg, xmp.lon_deg, True, True
     if not height > 0 and not height < 0 and np.isfinite(xmp.height_m):
         height = xmp.height_m
-    sigmas = (
-        (_positive(gps.get(GPS.GPSHPositioningError)), NAN)
-        if rtk or GPS.GPSHPositioningError in gps
-        else (xmp.sigma_m, xmp.sigma_up_m)
-    )
+    sigmas = xmp.sigma_m, xmp.sigma_up_m
+    if rtk or GPS.GPSHPositioningError in gps:
+        sigmas = _positive(gps.get(GPS.GPSHPositioningError)), NAN
     if not given:
         return Taken(), ""
     if np.isnan([lat, lon]).all():
@@ -195,7 +192,7 @@ def _in_wgs84(place: Taken, datum: str) -> tuple[Taken, str]:
     return place, "" if _LIKE_WGS84.fullmatch(plain) else doubt
 
 
-def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
+def _focal(detail: dict, size: tuple[int, int]) -> float:
     """Focal length in pixels of the file, by its 35 mm equivalent or by the size of a pixel."""
     (width, height), longer = size, max(size)
     wide, high = _positive(detail.get(Base.ExifImageWidth)), _positive(detail.get(Base.ExifImageHeight))
@@ -205,13 +202,13 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
     equivalent = _positive(detail.get(Base.FocalLengthIn35mmFilm))
     focal = equivalent / _DIAGONAL_35MM * (wide**2 + high**2) ** 0.5 * smaller
     mm, density = _positive(detail.get(Base.FocalLength)), _positive(detail.get(Base.FocalPlaneXResolution))
-    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}.get(
-        int(_number(detail.get(Base.FocalPlaneResolutionUnit, 2), 2)), 25.4
-    )
+    unit = int(_number(detail.get(Base.FocalPlaneResolutionUnit), 2))
+    unit_mm = {3: 10.0, 4: 1.0, 5: 0.001}.get(unit, 25.4)
     by_pixels, zoom = mm * density / unit_mm * smaller, _zoom(detail)
     if focal < by_pixels * zoom**0.5:  # some cameras leave a digital zoom out of the equivalent
         focal *= zoom
-    return next((f for f in (focal, by_pixels * zoom) if range_[0] * longer <= f <= range_[1] * longer), NAN)
+    low, high = (longer * share for share in _FOCAL_RANGE)
+    return next((f for f in (focal, by_pixels * zoom) if low <= f <= high), NAN)
 
 
 def _zoom(detail: dict) -> float:
@@ -230,20 +227,9 @@ def _angle(gps: dict, key: int, negative: str) -> float:
 
 def _time(base: dict, detail: dict) -> tuple[float, bool]:
     """Seconds since 1970, and whether they are UTC: by the first valid one of EXIF's three times."""
-    offset = detail.get(Base.OffsetTime)
-    for text, fraction, zone in (
-        (
-            detail.get(Base.DateTimeOriginal),
-            detail.get(Base.SubsecTimeOriginal),
-            detail.get(Base.OffsetTimeOriginal, offset),
-        ),
-        (
-            detail.get(Base.DateTimeDigitized),
-            detail.get(Base.SubsecTimeDigitized),
-            detail.get(Base.OffsetTimeDigitized, offset),
-        ),
-        (base.get(Base.DateTime), detail.get(Base.SubsecTime), offset),
-    ):
+    for kind, table in (("Original", detail), ("Digitized", detail), ("", base)):
+        text, fraction = table.get(Base[f"DateTime{kind}"]), detail.get(Base[f"SubsecTime{kind}"])
+        zone = detail.get(Base[f"OffsetTime{kind}"], detail.get(Base.OffsetTime))
         found = _WHEN.fullmatch(_text(text))
         if found is None:
             continue
@@ -308,9 +294,6 @@ def exif_of(taken: Taken) -> Image.Exif:
         if np.isfinite(taken.sigma_m):
             gps[GPS.GPSHPositioningError] = taken.sigma_m
     return block
-
-
-# --- XMP --------------------------------------------------------------------------------------------------------------
 
 
 def read_rig_tags(text: str) -> RigTags:

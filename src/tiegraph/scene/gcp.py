@@ -33,9 +33,11 @@ from tiegraph.scene.textfile import (
     text_of,
     units_of,
 )
-from tiegraph.scene.tuning import ControlTuning
 
+SIGMA_M = (0.02, 0.02, 0.03)  # of a point without sigma in its file: network RTK with a pole
+_LARGEST_COPY = 4.0  # of a marked image over the survey's: images are halved at most twice for a survey
 MAX_SIGMA_M = 100.0  # a larger sigma of a surveyed point means another unit, or a typing error
+_NEED = {"points": "coordinates", "marks": "a pixel in an image"}
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
 _TITLE = re.compile(
@@ -100,15 +102,15 @@ class GcpFile:
         return {name: target for name, target in named.items() if target is not None}
 
 
-def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> GcpFile:
+def read_gcps(path: Path, marks: Path | None = None) -> GcpFile:
     """Read control points of either form; ``marks`` is the file of their marks, if separate.
 
     Raises InputError, naming file and line, for an unreadable file, an unknown CRS, invalid numbers, points
     without marks, marks of a point without coordinates, and a name with two places.
     """
-    found = _read(Path(path), "--gcp", tuning)
+    found = _read(Path(path), "--gcp")
     if marks is not None:
-        points, other = found, _read(Path(marks), "--marks", tuning)
+        points, other = found, _read(Path(marks), "--marks")
         if not (points.points or points.bars):
             points, other = other, points
         if other.points or points.marks:
@@ -129,12 +131,12 @@ def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> G
         said = f"a mark of point {lost.name!r}, which has no coordinates in {there}"
         raise InputError(f"{found.of_marks}, line {lost.line}: {said}")
     said = (*found.notes, *_doubtful(found))
-    return replace(found, marks=_once_each(found), notes=said, largest_copy=tuning.largest_copy)
+    return replace(found, marks=_once_each(found), notes=said, largest_copy=_LARGEST_COPY)
 
 
-def read_points(path: Path, tuning: ControlTuning) -> GcpFile:
+def read_points(path: Path) -> GcpFile:
     """Points of a file of either form, marked or not. Raises as ``read_gcps``, except for lacking marks."""
-    found = _read(Path(path), "--points", tuning)
+    found = _read(Path(path), "--points")
     if not found.points:
         raise InputError(f"--points {path}: no points with {_NEED['points']}; {FORMS}")
     return found
@@ -160,15 +162,12 @@ def _check_targets(found: GcpFile) -> None:
             )
 
 
-_NEED = {"points": "coordinates", "marks": "a pixel in an image"}
-
-
-def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
+def _read(path: Path, option: str) -> GcpFile:
     text, doubts = text_of(path, "control point file")
     lines = [(n, line) for n, line in filled_lines(text) if not _TITLE.fullmatch(line)]
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")
-    found = (_read_odm if _is_odm(lines) else _read_csv)(path, lines, tuning)
+    found = (_read_odm if _is_odm(lines) else _read_csv)(path, lines)
     _refuse_exchanged(found)
     return replace(found, notes=(*doubts, *found.notes))
 
@@ -236,7 +235,7 @@ def _is_header(line: str) -> bool:
     return known_words(names) > 2 or names_bars(names)
 
 
-def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
+def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
     more = f"; the first line of a gcp_list.txt is one; that of a CSV is a header: {FORMS}"
     crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}", more)
     points: dict[str, FilePoint] = {}
@@ -257,7 +256,7 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
         name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
         check = len(words) > 7 and words[7].lower() in _CHECK
-        _add(points, FilePoint(name=name, xyz=place, sigma_m=tuning.sigma_m, check=check, line=n), path)
+        _add(points, FilePoint(name=name, xyz=place, sigma_m=SIGMA_M, check=check, line=n), path)
         marks.append(FileMark(name=name, image=words[5], xy=(px, py), line=n))
     return GcpFile(
         path=path,
@@ -276,7 +275,7 @@ def _number(text: str, path: Path, line: int) -> float:
     return value
 
 
-def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
+def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
     """The points and marks of one or several tables, each with its header, or of one without."""
     heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _is_header(line)] or [0]
     cuts = [0, *heads[1:], len(lines)]
@@ -288,10 +287,10 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
             continue  # a header without rows says nothing
         table = table_of(path, "control point file", lines[a:b], _EXAMPLE, lambda rows: points_by_content(rows, above))
         if names_bars(table.columns):
-            bars, note = read_bars(table, tuning)
+            bars, note = read_bars(table)
             found = replace(found, bars=(*found.bars, *bars), notes=(*found.notes, *table.notes, note))
         else:
-            found, kind = _with_table(found, table, tuning)
+            found, kind = _with_table(found, table)
             kinds |= kind
     if len(kinds) > 1:
         raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
@@ -299,7 +298,7 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
     return replace(found, crs="EPSG:4979" if found.crs is None and degrees else found.crs, geographic=degrees)
 
 
-def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[GcpFile, set[bool]]:
+def _with_table(file: GcpFile, table: Table) -> tuple[GcpFile, set[bool]]:
     """A file with a table's points and marks; {whether its coordinates are in degrees}, empty without any."""
     path, notes = table.path, [*file.notes, *table.notes]
     roles, crs = coordinates_of(table, file.crs, notes)
@@ -328,7 +327,7 @@ def _with_table(file: GcpFile, table: Table, tuning: ControlTuning) -> tuple[Gcp
             values = [float(a[row]) for a in angles] + [float("nan")] * (3 - len(angles))
             values = [v if v == v else _number(table.plain(row, c), path, line) for v, c in zip(values, columns)]
             place = tuple(s * v for s, v in zip(scale, values))
-            sigma_m, check = _row_facts(table, row, tuning)
+            sigma_m, check = _row_facts(table, row)
             _add(points, FilePoint(name=label, xyz=place, sigma_m=sigma_m, check=check, line=line), path)  # type: ignore[arg-type]
         if table.cell(row, image):
             xy = _number(table.plain(row, px), path, line), _number(table.plain(row, py), path, line)
@@ -354,7 +353,7 @@ def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
             raise InputError(f"{path}, line {new.line}: {said}; rename it, or keep the right one")
 
 
-def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[float, float, float], bool]:
+def _row_facts(table: Table, row: int) -> tuple[tuple[float, float, float], bool]:
     def sigma(what: str, otherwise: float) -> float:
         column = table.find(what)
         cell = table.cell(row, column)
@@ -369,9 +368,9 @@ def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[flo
             )
         return value
 
-    both = sigma("sigma", tuning.sigma_m[0])
+    both = sigma("sigma", SIGMA_M[0])
     flat = sigma("horizontal sigma", max(sigma("sigma to the east", both), sigma("sigma to the north", both)))
-    up = sigma("vertical sigma", sigma("sigma", tuning.sigma_m[2]))
+    up = sigma("vertical sigma", sigma("sigma", SIGMA_M[2]))
     role = table.cell(row, table.find("role")).lower().replace(" ", "_")
     if role not in (*_CHECK, *_CONTROL):
         raise InputError(f"{table.where(row)}: role {role!r} is neither gcp nor check")

@@ -260,9 +260,6 @@ def strongest_places(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: 
     return np.unique(place[ranks(image, turn, -strength, group[partner]) < count])
 
 
-# --- weakly tied groups -----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class WeaklyTied:
     """Connected frames, and how many points they share with all the others."""

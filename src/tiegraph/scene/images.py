@@ -27,8 +27,7 @@ from tiegraph.scene.decoding import (
 )
 from tiegraph.scene.exif import Exif, read_exif, xmp_text
 from tiegraph.scene.rig import Circle
-from tiegraph.scene.tuning import ImageTuning
-from tiegraph.scene.wideviews import Sphere, has_crop, image_circles, is_equirectangular, sphere_of
+from tiegraph.scene.wideviews import MIN_WIDTH_PX, Sphere, has_crop, image_circles, is_equirectangular, sphere_of
 
 SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".mpo", ".insp",
             ".jp2", ".j2k", ".avif", ".heic", ".heif", ".hif", *RAW, ".jxl", ".gif")  # fmt: skip
@@ -161,15 +160,13 @@ def has_images(root: Path) -> bool:
 
 def _begins_like_an_image(path: Path) -> bool:
     try:
-        if not path.is_file():  # a pipe would wait forever
-            return False
-        with open(path, "rb") as file:
+        with regular(path, None).open("rb") as file:
             return file.read(8).startswith(BEGINS)
     except OSError:
         return False
 
 
-def probe_image(path: Path, tuning: ImageTuning) -> Probe:
+def probe_image(path: Path) -> Probe:
     """Read, decode and describe one image file; the pixels are not kept. Never raises: see ``Probe.reason``."""
     path = Path(path)
     try:
@@ -183,7 +180,7 @@ def probe_image(path: Path, tuning: ImageTuning) -> Probe:
     if path.suffix.lower() in UNREADABLE:
         return Probe(digest=digest, reason=f"{path.suffix} files are not read: convert to JPEG, PNG or TIFF")
     try:
-        return _describe(data, path.suffix, digest, tuning)
+        return _describe(data, path.suffix, digest)
     except Unreadable as error:
         return Probe(digest=digest, reason=str(error))
     except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
@@ -194,15 +191,12 @@ def probe_image(path: Path, tuning: ImageTuning) -> Probe:
 def _picture_at(data: bytes) -> int:
     """Begin of the picture of a JPEG, behind its tags: files with one picture are one photograph. 0 for others."""
     at = 2 if data.startswith(b"\xff\xd8\xff") else len(data)
-    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != _SCAN:
+    while data[at : at + 1] == b"\xff" and data[at : at + 2] != b"\xff\xda":
         at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return at if data[at : at + 2] == b"\xff" + _SCAN else 0
+    return at if data[at : at + 2] == b"\xff\xda" else 0
 
 
-_SCAN = b"\xda"  # JPEG's marker of it
-
-
-def _describe(data: bytes, suffix: str, digest: str, tuning: ImageTuning) -> Probe:
+def _describe(data: bytes, suffix: str, digest: str) -> Probe:
     file = opened(data, suffix)
     image = file.image
     if image is not None and not file.raw:
@@ -214,16 +208,16 @@ def _describe(data: bytes, suffix: str, digest: str, tuning: ImageTuning) -> Pro
         levels = levels_of(pixels)
         picture = Image.fromarray(eight_bit(pixels, levels))
     width, height = picture.size
-    if min(width, height) < tuning.min_side_px:
+    if min(width, height) < 32:
         raise Unreadable(f"only {width} x {height} pixels")
-    circles = image_circles(picture, tuning.fisheye)
+    circles = image_circles(picture)
     sphere = sphere_of(image, picture.size, lambda: np.asarray(picture.convert("RGB")))
     said = _said(file, sphere)
     if sphere is not None:
-        sure = sphere.sure and sphere.width >= tuning.panorama.min_width_px
-        sphere = replace(sphere, sure=sure or (not circles and is_equirectangular(picture, tuning.panorama)))
+        sure = sphere.sure and sphere.width >= MIN_WIDTH_PX
+        sphere = replace(sphere, sure=sure or (not circles and is_equirectangular(picture)))
     two = len(circles) > 1
-    exif = Exif() if image is None else read_exif(image, (width, height), tuning.focal_range)
+    exif = Exif() if image is None else read_exif(image, (width, height))
     return Probe(
         width=width,
         height=height,

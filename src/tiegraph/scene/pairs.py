@@ -72,11 +72,8 @@ class Pairs(Columns, Arrays):
     inliers: np.ndarray
 
     def __post_init__(self) -> None:
-        numbers = dict.fromkeys(NUMBERS, np.float32)
-        freeze(
-            self,
-            {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32, **numbers},
-        )
+        whole = {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32}
+        freeze(self, {**whole, **dict.fromkeys(NUMBERS, np.float32)})
         if np.any(self.i >= self.j) or np.any(np.diff(self.key) <= 0):
             raise ValueError("pairs must have i < j and be sorted and unique: build them with Pairs.make")
 
@@ -106,10 +103,8 @@ class Pairs(Columns, Arrays):
         i, j = np.asarray(i, np.int64).ravel(), np.asarray(j, np.int64).ravel()
         bits = np.full(len(i), source_bit(source)) if isinstance(source, str) else np.asarray(source)
         full: dict[str, np.ndarray] = {n: np.full(len(i), np.nan) for n in NUMBERS}
-        full["inliers"] = np.full(len(i), -1)
-        full["dropped"] = np.zeros(len(i))
-        full.update({n: np.asarray(c) for n, c in columns.items()})
-        full["source"] = bits
+        full |= {"inliers": np.full(len(i), -1), "dropped": np.zeros(len(i))}
+        full |= {**{n: np.asarray(c) for n, c in columns.items()}, "source": bits}
         low, high = np.minimum(i, j), np.maximum(i, j)
         order = np.argsort(-np.nan_to_num(full["score"], nan=-1.0), kind="stable")
         order = order[(low != high)[order]]

@@ -213,9 +213,6 @@ def _normal(stored: np.ndarray) -> np.ndarray:
     return normal / np.where(length > 0, length, np.float32(np.nan))[..., None]
 
 
-# --- accuracy ---------------------------------------------------------------------------------------------------------
-
-
 NAN = float("nan")
 LAYERS = {"world": "in the world", "shape": "in shape", "point": "of a point"}
 """Key of a layer -> its name, in the order of presentation."""
@@ -309,9 +306,6 @@ class Accuracy:
             placement=data.get("placement") or {},
             answer=None if answer is None else Answer(**answer),
         )
-
-
-# --- pictures ---------------------------------------------------------------------------------------------------------
 
 
 def png(figure: Any) -> bytes:

@@ -211,9 +211,6 @@ def rays_or_axis(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
     return unit_rays(np.nan_to_num(on_plane(camera, xy)))
 
 
-# --- pixels of marks --------------------------------------------------------------------------------------------------
-
-
 EDGE_PX = 1.0  # tolerance of a mark outside its image: programs count from the pixel's centre or corner
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.cells import ROLES, without_unit
 from tiegraph.scene.table import Table
-from tiegraph.scene.tuning import ControlTuning
 
 FORM = "a target is named by its family and number, such as tag36h11:12 or 4x4_50:7"
 _NAME = re.compile(r"\s*([A-Za-z][\w ]*|\d[xX]\d_\d+)\s*:\s*(\d{1,6})\s*")
@@ -92,6 +91,8 @@ def refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, share: float, bo
     return cv2.cornerSubPix(pixels, places, (half, half), (-1, -1), _REFINED).reshape(-1, 2)
 
 
+BAR_SIGMA_M = 0.001  # of a bar without sigma in its file: measured with a tape
+_LONGEST_BAR_M = 100.0  # larger lengths are in millimetres
 _CHECK = ("check", "checkbar", "check_bar")
 BAR_FORM = (
     "scale bars need the columns from, to, length (metres; if known sigma, role: bar or check) in a table of theirs"
@@ -115,7 +116,7 @@ def names_bars(names: tuple[str, ...]) -> bool:
     return all(bare & set(ROLES[role]) for role in ("from", "to", "length"))
 
 
-def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
+def read_bars(table: Table) -> tuple[list[FileBar], str]:
     """The bars of a table, and the columns read. Raises InputError, naming file and line, for invalid lengths and
     sigmas."""
     used = {r: table.find(r) for r in ("from", "to", "length", "sigma", "role")}
@@ -128,12 +129,12 @@ def read_bars(table: Table, tuning: ControlTuning) -> tuple[list[FileBar], str]:
         if not all(ends) or ends[0] == ends[1]:
             raise InputError(f"{where}: a scale bar needs two different names, got {ends[0]!r} and {ends[1]!r}")
         known = float(lengths[row])
-        if not 0 < known <= tuning.longest_bar_m:
+        if not 0 < known <= _LONGEST_BAR_M:
             raise InputError(
-                f"{where}: length = {table.cell(row, length)}: above 0 and at most {tuning.longest_bar_m:g} m; "
+                f"{where}: length = {table.cell(row, length)}: above 0 and at most {_LONGEST_BAR_M:g} m; "
                 "millimetres are stated in the header, length (mm)"
             )
-        spread = float(sigmas[row]) if table.cell(row, sigma) else tuning.bar_sigma_m
+        spread = float(sigmas[row]) if table.cell(row, sigma) else BAR_SIGMA_M
         if not 0 < spread < known:
             raise InputError(f"{where}: sigma = {table.cell(row, sigma)}: above 0 and below the length of the bar")
         said = table.cell(row, role).lower()

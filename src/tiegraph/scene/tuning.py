@@ -1,100 +1,8 @@
-"""Constants of the shared library, each with its unit, its meaning and the source of its value.
-
-``GnssTuning`` and ``TrendTuning`` belong to one engine alone, scan and sfm, and are in its tuning.
-"""
+"""Constants of the shared library, each with its unit, its meaning and the source of its value."""
 
 from pydantic import Field
 
 from tiegraph.settings import Section
-
-
-class PanoramaTuning(Section):
-    """Recognition of equirectangular panoramas (`wideviews.py`)."""
-
-    min_width_px: int = Field(1024, gt=0)
-    """Smaller panoramas have views of less than 290 px."""
-    pole_grey: float = Field(6.0, gt=0)
-    """Largest variation in grey levels of a row that is one point of the sphere (JPEG noise); the image has more."""
-    seam: float = Field(3.0, gt=0)
-    """Step over the seam, in steps between the columns beside it."""
-    least_step_grey: float = Field(0.5, gt=0)
-    """Tolerance of such a step in any case: a clear sky has none."""
-
-
-class FisheyeTuning(Section):
-    """The image circle of a fisheye lens (`wideviews.py`), at `look_px` where pixels are meant."""
-
-    look_px: int = Field(480, gt=0)
-    """Longer side of a lens' image at which its circle is searched: a pixel is 0.4 % of its radius."""
-    corner: float = Field(0.02, gt=0, lt=0.5)
-    """Share of the shorter side: squares in the corners that must be dark. A circle as wide as the image leaves 0.1."""
-    dark_grey: float = Field(24.0, ge=0, le=255)
-    """Brightest channel of unlit pixels, with JPEG's noise; kerry_park's surround has 0 .. 12."""
-    play_px: float = Field(1.5, gt=0)
-    """Distance of a place from the circle: a pixel and its blur; places this near to the border are not used ..."""
-    play: float = Field(0.01, ge=0)
-    """... or by this share of the radius: the rim of a lens is no exact circle."""
-    least_share: float = Field(0.4, gt=0, le=1)
-    """Share of the rays that must end on the circle: the image may cut it on two or four sides, and dark scenes end
-    early."""
-    off_middle: float = Field(0.1, ge=0)
-    """Share of the shorter side: between the circle's centre and the image's."""
-    least_radius: float = Field(0.3, gt=0)
-    """Share of the shorter side: a smaller circle is a spot of light in a dark picture."""
-    alike: float = Field(0.03, ge=0)
-    """Relative difference of the radii of two circles side by side."""
-
-
-class ImageTuning(Section):
-    """Limits for image files (`images.py`, `exif.py`)."""
-
-    min_side_px: int = Field(32, gt=0)
-    """Least sides of a usable image."""
-    focal_range: tuple[float, float] = (0.2, 20.0)
-    """Plausible focal lengths of EXIF in longer image sides: 136 degrees of view ... a 700 mm lens."""
-    panorama: PanoramaTuning = Field(default_factory=PanoramaTuning)
-    """Panoramas."""
-    fisheye: FisheyeTuning = Field(default_factory=FisheyeTuning)
-    """Fisheye images."""
-
-
-class GnssTuning(Section):
-    """Limits of a receiver's positions (`gnss/`)."""
-
-    vertical: float = Field(2.0, gt=0)
-    """Sigma of a height over the horizontal one: height is about half as accurate, because all satellites are above."""
-    most_far: float = Field(0.1, ge=0, le=1)
-    """Largest share of positions that is left out as false."""
-    stuck: int = Field(3, gt=1)
-    """Least number of positions for the note that all are the same."""
-
-
-class ControlTuning(Section):
-    """Control points of files (`gcp.py`)."""
-
-    sigma_m: tuple[float, float, float] = (0.02, 0.02, 0.03)
-    """East, north and up of a surveyed point without sigma in its file: network RTK with a pole."""
-    bar_sigma_m: float = Field(0.001, gt=0)
-    """Share of the length of a scale bar without sigma in its file: measured with a tape."""
-    longest_bar_m: float = Field(100.0, gt=0)
-    """Larger lengths are in millimetres."""
-    largest_copy: float = Field(4.0, ge=1)
-    """Size of a marked image over the survey's: images are halved at most twice for a survey."""
-
-
-class TrendTuning(Section):
-    """Tests of residuals along the path against noise (`evidence.py`)."""
-
-    min_rows: int = Field(8, ge=6)
-    """Least number of values for distinguishing a trend from noise."""
-    step_rows: int = Field(3, gt=0)
-    """Values on either side of a step, at least."""
-    max_correlation: float = Field(0.98, ge=0, lt=1)
-    """Of neighbouring values."""
-    caution_sigmas: float = Field(2.0, ge=0)
-    """Added to the correlation: short series look less correlated than they are."""
-    spike_sigmas: float = Field(6.0, gt=0)
-    """Robust sigmas from the neighbours: a single bad value is no trend."""
 
 
 class RegisteredTuning(Section):
@@ -113,10 +21,6 @@ class BlocksTuning(Section):
     """Largest number of images that are mapped as a whole."""
     own: int = Field(420, gt=0)
     """Largest number of own images of a block."""
-    near: int = Field(24, gt=0)
-    """Nearest frames by prior positions whose links count. Of 1200 rendered images with repeated walls (canal
-    generator, seed 5) 12, 24 and 48 give the same three sections of the path, also with noise of 5 m and with 30 % of
-    the positions missing."""
     unplaced: float = Field(2.5, ge=1)
     """Factor of the survey mapped as a whole, and of the blocks, if less than half of the frames
     have positions: cut by their matches alone, blocks of 420 of those images mixed distant places and were wrong by 4
@@ -124,15 +28,7 @@ class BlocksTuning(Section):
     least: int = Field(30, gt=0)
     """Least images of a block: a smaller one without ties to the rest is left out."""
     lent: int = Field(60, ge=0)
-    """Images that a block takes from each of its neighbours ..."""
-    least_lent_frames: int = Field(4, ge=0)
-    """... and the least frames of them."""
-    least_ties: int = Field(10, gt=0)
-    """Pairs of images that make two parts neighbours."""
-    margin: float = Field(0.2, ge=0, le=1)
-    """Share of a part: largest distance of a cut from the half, to be where ties are few."""
-    order: float = Field(0.05, gt=0)
-    """Share of the mean link: weight of the links by the order of a pass alone."""
+    """Images that a block takes from each of its neighbours."""
 
 
 class JoiningTuning(Section):
@@ -140,23 +36,11 @@ class JoiningTuning(Section):
 
     shared: int = Field(12, ge=3)
     """Least images of two models for a join, which must agree with it."""
-    agree: float = Field(0.6, ge=0, le=1)
-    """Share of the shared images that must agree."""
-    turn_deg: float = Field(3.0, gt=0)
-    """Tolerance of the poses of an image in two models."""
-    shift: float = Field(0.06, gt=0)
-    """Likewise, as a share of the distance to its points."""
-    drift: float = Field(0.1, gt=0)
-    """Share of the survey's extent: tolerance of a join along a chain of others."""
 
 
 class Tuning(Section):
     """Constants of the shared library that are the same for every user."""
 
-    images: ImageTuning = Field(default_factory=ImageTuning)
-    """Image files."""
-    control: ControlTuning = Field(default_factory=ControlTuning)
-    """Control points."""
     registered: RegisteredTuning = Field(default_factory=RegisteredTuning)
     """Registered images."""
     blocks: BlocksTuning = Field(default_factory=BlocksTuning)

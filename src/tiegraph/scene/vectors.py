@@ -123,9 +123,6 @@ def _by_gdal(path: Path, kind: str, axes: int) -> tuple[list[np.ndarray], str | 
     return _parts(json.loads(text.getvalue()), kind, axes), meta["crs"]
 
 
-# --- styles of QGIS ---------------------------------------------------------------------------------------------------
-
-
 _PAGE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis version="3.22.0" styleCategories="Symbology">
  <renderer-v2 type="singleSymbol" symbollevels="0" enableorderby="0" forceraster="0">

@@ -17,48 +17,53 @@ from tiegraph.geometry.transforms import unit_rays
 from tiegraph.scene.cells import number
 from tiegraph.scene.exif import xmp_text, xmp_value
 from tiegraph.scene.rig import Circle, LensView, Sensor
-from tiegraph.scene.tuning import FisheyeTuning, PanoramaTuning
 
+_LOOK_PX = 480  # longer side of a lens' image at which its circle is searched: a pixel is 0.4 % of its radius
+_DARK_GREY = 24.0  # brightest channel of unlit pixels, with JPEG's noise; kerry_park's surround has 0 .. 12
+_PLAY_PX = 1.5  # from the circle: a pixel and its blur; places this near to the border are not used
+_RIM = 360  # corners of the rim of a cone, drawn as a polygon
+_STEP = 4  # pixels between those whose places in a fisheye image are computed
+_NOWHERE = -8.0  # farther from the image than the interpolation reaches
 _RAYS, _STEP_PX, _BLUR_PX = 240, 0.5, 0.8  # rays from the middle and steps along them to find the end of the circle
 
 
-def image_circles(image: Image.Image, tuning: FisheyeTuning) -> tuple[Circle, ...]:
+def image_circles(image: Image.Image) -> tuple[Circle, ...]:
     """The circles that lenses light in a decoded image: one, two side by side of equal size, or () in any other."""
     width, height = image.size
-    if width == 2 * height and (halves := _circles(image, 2, tuning)):
+    if width == 2 * height and (halves := _circles(image, 2)):
         return halves
-    return _circles(image, 1, tuning)
+    return _circles(image, 1)
 
 
-def _circles(image: Image.Image, count: int, tuning: FisheyeTuning) -> tuple[Circle, ...]:
+def _circles(image: Image.Image, count: int) -> tuple[Circle, ...]:
     side = image.width // count
     halves = [(k * side, 0, (k + 1) * side, image.height) for k in range(count)]
     parts = [image] if count == 1 else [image.crop(half) for half in halves]
-    if not all(_dark_corners(part, tuning) for part in parts):
+    if not all(_dark_corners(part) for part in parts):
         return ()
     found: list[Circle] = []
-    scale = min(1.0, tuning.look_px / max(parts[0].size))
+    scale = min(1.0, _LOOK_PX / max(parts[0].size))
     size = max(1, round(side * scale)), max(1, round(image.height * scale))
     for k, part in enumerate(parts):
         brightest = np.asarray(part.convert("RGB").resize(size, Image.Resampling.BOX)).max(axis=2)
-        circle = lit_circle(brightest, tuning)
+        circle = lit_circle(brightest)
         if circle is None:
             return ()
         x, y, radius = (v * side / size[0] for v in circle)
         found.append((k * side + x, y, radius))
     radii = [radius for _, _, radius in found]
-    return tuple(found) if max(radii) - min(radii) <= tuning.alike * max(radii) else ()
+    return tuple(found) if max(radii) - min(radii) <= 0.03 * max(radii) else ()
 
 
-def _dark_corners(part: Image.Image, tuning: FisheyeTuning) -> bool:
+def _dark_corners(part: Image.Image) -> bool:
     """Whether the corners of a picture are black: of nearly every photograph, they are not."""
-    side = max(2, round(tuning.corner * min(part.size)))
+    side = max(2, round(0.02 * min(part.size)))  # a circle as wide as the image leaves 0.1
     places = [(x, y) for x in (0, part.width - side) for y in (0, part.height - side)]
     corners = (np.asarray(part.crop((x, y, x + side, y + side)).convert("RGB")) for x, y in places)
-    return all(np.median(corner.max(axis=2)) <= tuning.dark_grey for corner in corners)
+    return all(np.median(corner.max(axis=2)) <= _DARK_GREY for corner in corners)
 
 
-def lit_circle(brightness: np.ndarray, tuning: FisheyeTuning) -> Circle | None:
+def lit_circle(brightness: np.ndarray) -> Circle | None:
     """The image circle of a lens in an image (h, w) u1 with dark corners, pixels; None if the lit area is no circle.
 
     Along rays from the middle the last bright pixel is found. Of the circles through three such places, a quarter
@@ -66,29 +71,27 @@ def lit_circle(brightness: np.ndarray, tuning: FisheyeTuning) -> Circle | None:
     to these again: a dark tree ends before its lens does, and a flare beyond.
     """
     height, width = brightness.shape
-    ends = _ends(cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), _BLUR_PX), tuning)
-    play = tuning.play_px
-    inside = np.all((ends > play) & (ends < (width - play, height - play)), axis=1)
+    ends = _ends(cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), _BLUR_PX))
+    inside = np.all((ends > _PLAY_PX) & (ends < (width - _PLAY_PX, height - _PLAY_PX)), axis=1)
     on = np.zeros(len(ends), bool)
     for k in range(_RAYS):
         three = (k + np.arange(3) * (_RAYS // 4)) % _RAYS
-        if inside[three].all() and (close := inside & _close(ends, _fit(ends[three]), tuning)).sum() > on.sum():
-            on = close
-    if on.sum() < tuning.least_share * _RAYS:
+        if inside[three].all():
+            x, y, radius = _fit(ends[three])
+            off = np.abs(np.hypot(ends[:, 0] - x, ends[:, 1] - y) - radius)
+            close = inside & (off <= max(_PLAY_PX, 0.01 * radius))  # the rim of a lens is no exact circle
+            on = close if close.sum() > on.sum() else on
+    # The image may cut it on two or four sides, and dark scenes end early
+    if on.sum() < 0.4 * _RAYS:
         return None
     x, y, radius = _fit(ends[on])
     shorter = min(height, width)
-    central = np.hypot(x - width / 2, y - height / 2) <= tuning.off_middle * shorter
-    return (x, y, radius) if central and radius >= tuning.least_radius * shorter else None
+    central = np.hypot(x - width / 2, y - height / 2) <= 0.1 * shorter
+    # A smaller circle is a spot of light in a dark picture
+    return (x, y, radius) if central and radius >= 0.3 * shorter else None
 
 
-def _close(points: np.ndarray, circle: Circle, tuning: FisheyeTuning) -> np.ndarray:
-    x, y, radius = circle
-    off = np.abs(np.hypot(points[:, 0] - x, points[:, 1] - y) - radius)
-    return np.asarray(off <= max(tuning.play_px, tuning.play * radius))
-
-
-def _ends(brightness: np.ndarray, tuning: FisheyeTuning) -> np.ndarray:
+def _ends(brightness: np.ndarray) -> np.ndarray:
     """(K, 2) the outermost bright place on each ray from the middle; the middle if a ray is all dark."""
     height, width = brightness.shape
     angle = np.arange(_RAYS) * 2 * np.pi / _RAYS
@@ -97,7 +100,7 @@ def _ends(brightness: np.ndarray, tuning: FisheyeTuning) -> np.ndarray:
     y = height / 2 + np.outer(np.sin(angle), reach)
     seen = cv2.remap(brightness, (x - 0.5).astype(np.float32), (y - 0.5).astype(np.float32), cv2.INTER_LINEAR)
     inside = (x > 0) & (x < width) & (y > 0) & (y < height)
-    lit = (seen > tuning.dark_grey) & inside
+    lit = (seen > _DARK_GREY) & inside
     last = np.where(lit.any(axis=1), lit.shape[1] - 1 - lit[:, ::-1].argmax(axis=1), 0)
     rows = np.arange(_RAYS)
     return np.stack([x[rows, last], y[rows, last]], axis=1)
@@ -165,9 +168,6 @@ def _within(camera: pycolmap.Camera, half_deg: float) -> np.ndarray:
     return seen > 0
 
 
-_RIM = 360  # corners of the rim of a cone, drawn as a polygon
-
-
 def frozen(camera: pycolmap.Camera) -> tuple:
     """A camera as the key of a cache."""
     return camera.model.name, camera.width, camera.height, tuple(camera.params)
@@ -195,10 +195,6 @@ def _lens_map(lens: tuple, rotation: tuple[float, ...], pinhole: tuple) -> tuple
     return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
 
 
-_STEP = 4
-_NOWHERE = -8.0  # farther from the image than the interpolation reaches
-
-
 def _grows_until(camera: pycolmap.Camera) -> float:
     """The angle off the axis, radians, up to which a fisheye camera's image grows: beyond it, its polynomial folds."""
     angle = np.linspace(0, np.pi / 2, 181)[:-1]  # at 90 degrees and beyond COLMAP gives no pixel
@@ -208,16 +204,15 @@ def _grows_until(camera: pycolmap.Camera) -> float:
     return float(angle[falls[0]]) if len(falls) else float(np.pi / 2)
 
 
-# --- panoramas --------------------------------------------------------------------------------------------------------
-
-
 _EQUIRECTANGULAR = "equirectangular"
 _TAGS = ("FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels",
          "CroppedAreaLeftPixels", "CroppedAreaTopPixels")  # fmt: skip
 _ROUNDED_PX = 2  # tolerance between sizes in tags
 # Software fills missing parts with black, with JPEG's noise, in all pixels of a row but this share.
 _BLACK_GREY, _LIT = 24, 0.01
-_LOOK_PX, _BESIDE = 512, 9  # width at which poles and seam are looked at, columns beside the seam that tell its steps
+MIN_WIDTH_PX = 1024  # smaller panoramas have views of less than 290 px
+_POLE_GREY = 6.0  # largest variation of a row that is one point of the sphere (JPEG noise); the image has more
+_WIDTH_PX, _BESIDE = 512, 9  # width at which poles and seam are looked at, columns beside the seam that tell its steps
 
 
 Box = tuple[int, int, int, int]
@@ -302,22 +297,22 @@ def _lit(pixels: np.ndarray) -> Box:
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
-def is_equirectangular(image: Image.Image, tuning: PanoramaTuning) -> bool:
+def is_equirectangular(image: Image.Image) -> bool:
     """Whether a decoded image of 8 bits is a full panorama, by its poles and its seam.
 
     The first and the last row of an equirectangular panorama are one point each, and its left border continues at the
     right one.
     """
-    if image.width != 2 * image.height or image.width < tuning.min_width_px:
+    if image.width != 2 * image.height or image.width < MIN_WIDTH_PX:
         return False
-    size = _LOOK_PX, _LOOK_PX // 2
+    size = _WIDTH_PX, _WIDTH_PX // 2
     grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), float)
     poles = max(grey[0].std(), grey[-1].std())
     borders = grey[:, :_BESIDE], grey[:, -_BESIDE:]
     beside = np.abs(np.diff(borders[0], axis=1)).mean() + np.abs(np.diff(borders[1], axis=1)).mean()
     seam = np.abs(grey[:, 0] - grey[:, -1]).mean()
-    step = max(beside / 2, tuning.least_step_grey)
-    return bool(poles < tuning.pole_grey and grey.std() > tuning.pole_grey and seam < tuning.seam * step)
+    step = max(beside / 2, 0.5)  # a clear sky has none
+    return bool(poles < _POLE_GREY and grey.std() > _POLE_GREY and seam < 3 * step)
 
 
 def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> np.ndarray:

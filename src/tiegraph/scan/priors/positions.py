@@ -12,9 +12,9 @@ from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.priors.times import FrameRow, absent, frames_of_names
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss.fixes import (
+    VERTICAL,
     Gnss,
     at_times,
     beyond,
@@ -62,28 +62,21 @@ class Priors:
     notes: tuple[str, ...] = field(default_factory=tuple)
 
 
-def from_gnss(
-    priors: Priors,
-    frames: Frames,
-    gnss: Gnss,
-    settings: ScanSettings,
-    notes: list[str],
-    tuning: PositionsTuning,
-) -> Priors:
+def from_gnss(priors: Priors, frames: Frames, gnss: Gnss, settings: ScanSettings, notes: list[str]) -> Priors:
     """Priors with the positions of a GNSS file: by image name, else interpolated at the frames' times.
 
     Raises InputError if no row fits a frame, or the CRS of the settings does not fit the positions.
     """
     gnss, path = on_clock_of(gnss, priors.time_s), gnss.path
     if gnss.names:
-        gnss = without_far(_known(gnss, frames), tuning.gnss.most_far)
+        gnss = without_far(_known(gnss, frames))
     notes.extend(gnss.notes)
     near = slice(None) if gnss.names else _overlap(gnss, priors.time_s, settings)
     origin = _origin(gnss.lat_lon_height[near], settings, notes)
     cut = np.zeros((len(frames.rows), 3))
     world = world_from_geodetic(gnss.lat_lon_height, origin)
     if gnss.names:
-        position, sigma, heading = _by_image(frames, gnss, world, notes, tuning.apart_m)
+        position, sigma, heading = _by_image(frames, gnss, world, notes)
     else:
         position, sigma, heading = at_times(gnss, world, priors.time_s, settings.max_gap_s)
         moved = replace(gnss, sigma_m=moved_within(gnss.time_s, world, priors.step_s))
@@ -101,7 +94,7 @@ def from_gnss(
             f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "
             f"{_without(frames, ~there, gnss, priors.time_s)}{hint}"
         )
-    default = settings.gnss_sigma_m * np.array([1.0, 1.0, tuning.gnss.vertical])
+    default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL])
     if np.isnan(sigma[there]).any():
         notes.append(
             f"{path.name}: accuracy not given; {default[0]:g} m horizontal and {default[2]:g} m vertical assumed"
@@ -230,7 +223,7 @@ def _by_number(gnss: Gnss, frames: Frames) -> Gnss:
 
 
 def _by_image(
-    frames: Frames, gnss: Gnss, world: np.ndarray, notes: list[str], apart_m: float
+    frames: Frames, gnss: Gnss, world: np.ndarray, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows: dict[int, list[int]] = {}
     for k, frame in enumerate(frames_of_names(gnss.names, frames.rows, frames.names)):
@@ -243,7 +236,7 @@ def _by_image(
         position[frame] = np.median(world[mine], axis=0)
         sigma[frame], heading[frame] = gnss.sigma_m[mine[0]], gnss.heading_deg[mine[0]]
         wide = float(np.ptp(world[mine], axis=0).max())
-        if wide > apart_m:
+        if wide > 1.0:  # a rig is smaller, or its images share a row
             apart.append((wide, mine))
     if apart:
         wide, mine = max(apart)
@@ -274,18 +267,13 @@ def body_of(spec: RigSpec) -> tuple[np.ndarray, str]:
     return (np.eye(4), "camera") if pose is None else (pose, spec.axes)
 
 
-_NEAR_NOUGHT_M = 5.0  # of a height: if another is so near to 0 metres, 0 can be a height
-
-
-def from_exif(
-    priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str], tuning: PositionsTuning
-) -> Priors:
+def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str]) -> Priors:
     """Priors with the positions that cameras wrote into their files; outliers far from all others are not used.
 
     Raises InputError if the CRS of the settings does not fit the positions.
     """
     _say_doubts(frames, notes)
-    llh, given = _exif_positions(frames, notes, settings.heights_m, tuning.gnss.most_far)
+    llh, given = _exif_positions(frames, notes, settings.heights_m)
     found = [[i for i in row.images if np.isfinite(llh[i, 0])] for row in frames.rows]
     there = np.array([bool(f) for f in found])
     if there.sum() < 2:
@@ -298,17 +286,17 @@ def from_exif(
         places[k] = np.mean(llh[found[k]], axis=0)
         flat, up = given[found[k][0]]
         flat = flat if np.isfinite(flat) else settings.gnss_sigma_m
-        sigma[k] = flat, flat, up if np.isfinite(up) else tuning.gnss.vertical * flat
+        sigma[k] = flat, flat, up if np.isfinite(up) else VERTICAL * flat
     nought = there & (places[:, 2] == 0)  # some cameras write it while they have no height
     others = np.abs(places[there & ~nought, 2])
-    if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > _NEAR_NOUGHT_M:
+    if nought.sum() < len(others) and np.nanmin(others, initial=np.inf) > 5:  # with another so near 0, it can be one
         places[nought, 2] = np.nan
     low = there & np.isnan(places[:, 2])
     if low.any():
         places[low, 2] = np.nanmedian(places[:, 2]) if (there & ~low).any() else 0.0
-        sigma[low, 2] = tuning.unknown_height_sigma_m
+        sigma[low, 2] = 100.0
         notes.append(f"EXIF: {low.sum()} positions have no height")
-    if stuck := stuck_note(places[there], "EXIF", tuning.gnss.stuck):
+    if stuck := stuck_note(places[there], "EXIF"):
         notes.append(f"{stuck} Not used")
         return priors
     places_of = {(frames.rows[k].rig, *places[k, :2]) for k in np.flatnonzero(there)}
@@ -341,9 +329,7 @@ def _say_doubts(frames: Frames, notes: list[str]) -> None:
             )
 
 
-def _exif_positions(
-    frames: Frames, notes: list[str], heights_m: tuple[float, float], most_far: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _exif_positions(frames: Frames, notes: list[str], heights_m: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Lat, lon, height (N, 3) of the images and their sigmas (N, 2), horizontal and up, in metres."""
     llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
     none = np.flatnonzero((llh[:, 2] < heights_m[0]) | (llh[:, 2] > heights_m[1]))
@@ -355,7 +341,7 @@ def _exif_positions(
     llh[none, 2] = np.nan
     known = np.flatnonzero(np.isfinite(llh[:, 0]))
     level = np.nan_to_num(llh[known])  # an unknown height serves as zero here: a mountain is no gap of kilometres
-    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known], most_far)
+    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known])
     if note:
         notes.append(note)
     llh[known[far]] = np.nan

@@ -16,7 +16,6 @@ from tiegraph.scan.priors.times import exif_times, name_times, read_times
 from tiegraph.scan.priors.trajectory import of_images, poses_by_image, read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.cells import date_text
 from tiegraph.scene.exif import Exif
@@ -25,6 +24,8 @@ from tiegraph.scene.gnss.fixes import step_of
 from tiegraph.scene.posefile import Trajectory
 from tiegraph.scene.times import laid_on
 
+# Positions for fitting a trajectory: their least number, and their least spread in median sigmas
+_LEAST, _LEAST_SIGMAS = 3, 3.0
 _SCALE_ROUNDS = 10  # convergence is linear, by the ratio of the lever arm to the length of the trajectory
 
 
@@ -48,13 +49,9 @@ class Followed:
 
 
 def estimate_priors(
-    frames: Frames,
-    gnss: Path | None,
-    trajectory: Path | StartModel | Followed | None,
-    times: Path | None,
+    frames: Frames, gnss: Path | None, trajectory: Path | StartModel | Followed | None, times: Path | None,
     settings: ScanSettings,
-    tuning: Tuning,
-) -> Priors:
+) -> Priors:  # fmt: skip
     """Times, positions and poses of the frames from the user's files; ``trajectory`` may be a start model, or
     odometry.
 
@@ -71,38 +68,35 @@ def estimate_priors(
         found = trajectory_files(trajectory, frames.sequences)
         files = {k: (source_of(f), read_trajectory(f)) for k, f in found.items()}
     start = trajectory if isinstance(trajectory, StartModel) else None
-    time_s = _times(frames, times, files, notes, tuning.times)
+    time_s = _times(frames, times, files, notes)
     notes += [note for _, found in files.values() for note in found.notes]
     if start is not None:
-        paths: _Paths | None = _of_start(frames, start, notes, tuning.trajectory)
+        paths: _Paths | None = _of_start(frames, start, notes)
     elif isinstance(trajectory, Followed):
         paths = _of_odometry(frames, trajectory)
     else:
-        paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
+        paths = _paths(frames, files, time_s, settings, notes)
     count = len(frames.rows)
     step = 0.0 if times is not None else step_of(time_s)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan), step_s=step)
     if gnss is not None:
-        rows = read_gnss(gnss, tuning.positions.gnss, settings.heights_m)
-        priors = from_gnss(priors, frames, rows, settings, notes, tuning.positions)
+        rows = read_gnss(gnss, settings.heights_m)
+        priors = from_gnss(priors, frames, rows, settings, notes)
     else:
-        priors = from_exif(priors, frames, settings, notes, tuning.positions)
+        priors = from_exif(priors, frames, settings, notes)
     if priors.origin is None and settings.crs.lower() != "auto":
         notes.append(
             f"--scan.crs {settings.crs}: nothing here has positions (no GNSS file, no EXIF): only control points "
             "(--gcp) can georeference the survey in it"
         )
     if paths is not None:
-        priors = _with_paths(priors, frames, paths, notes, tuning.trajectory)
+        priors = _with_paths(priors, frames, paths, notes)
     return replace(priors, notes=tuple(notes))
 
 
-# --- times ----------------------------------------------------------------------------------------------------------
-
-
-def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tuning: TimesTuning) -> np.ndarray:
+def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> np.ndarray:
     if file is not None:
-        out, said = read_times(file, frames.rows, frames.sequences, frames.names, tuning)
+        out, said = read_times(file, frames.rows, frames.sequences, frames.names)
         notes.extend(said)
         if np.isnan(out).any():
             notes.append(f"{Path(file).name}: {np.isnan(out).sum()} of {len(out)} frames have no time in it")
@@ -150,23 +144,16 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
     return np.full(len(time_s), np.nan)
 
 
-# --- trajectories ---------------------------------------------------------------------------------------------------
-
-
 def _paths(
-    frames: Frames,
-    files: dict[int, tuple[Path, Trajectory]],
-    time_s: np.ndarray,
-    settings: ScanSettings,
+    frames: Frames, files: dict[int, tuple[Path, Trajectory]], time_s: np.ndarray, settings: ScanSettings,
     notes: list[str],
-    tuning: TrajectoryTuning,
-) -> _Paths | None:
+) -> _Paths | None:  # fmt: skip
     if not files:
         return None
     by_image = next(((path, t) for path, t in files.values() if t.names), None)
     if by_image is not None:
         notes.append(f"{by_image[0].name}: its unit is taken as metres; give it by --start if that is not certain")
-        return _by_image(by_image[1], by_image[0], frames, notes, tuning)
+        return _by_image(by_image[1], by_image[0], frames, notes)
     own_worlds = len(files) > 1 and same_start([t for _, t in files.values()])
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for sequence, (path, trajectory) in files.items():
@@ -199,15 +186,12 @@ def _paths(
     return _Paths(poses, group, own_worlds, started=bool(free))
 
 
-def _by_image(
-    trajectory: Trajectory, path: Path, frames: Frames, notes: list[str], tuning: TrajectoryTuning,
-    started: bool = False,
-) -> _Paths:  # fmt: skip
-    poses = poses_by_image(trajectory, path, frames, notes, tuning, metric=not started)
+def _by_image(trajectory: Trajectory, path: Path, frames: Frames, notes: list[str], started: bool = False) -> _Paths:
+    poses = poses_by_image(trajectory, path, frames, notes, metric=not started)
     return _Paths(poses, np.where(np.isnan(poses[:, 0, 0]), -1, 0), own_worlds=False, started=started)
 
 
-def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: TrajectoryTuning) -> _Paths:
+def _of_start(frames: Frames, start: StartModel, notes: list[str]) -> _Paths:
     without = f", {start.unposed} of its images have no pose" if start.unposed else ""
     named = f"{start.path.parent.name}/{start.path.name}"  # sparse/0
     notes.append(
@@ -215,7 +199,7 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
         "images; its unit and its georeference are not used"
     )
     notes += start.notes
-    return _by_image(of_images(start.poses), start.path, frames, notes, tuning, started=True)
+    return _by_image(of_images(start.poses), start.path, frames, notes, started=True)
 
 
 def _of_odometry(frames: Frames, followed: Followed) -> _Paths:
@@ -248,7 +232,7 @@ def _frame_poses(
     )
 
 
-def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str], tuning: TrajectoryTuning) -> Priors:
+def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str]) -> Priors:
     if priors.prior == "none":
         known = np.isfinite(paths.poses[:, 0, 0])
         pose = np.where(known[:, None, None], paths.poses, priors.world_from_rig)
@@ -260,10 +244,10 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
         return priors
     for group in np.unique(paths.group[paths.group >= 0]):
         rows = np.flatnonzero(paths.group == group)
-        laid = _laid(paths, pose[:, :3, 3], sigma, frames, rows, tuning)
+        laid = _laid(paths, pose[:, :3, 3], sigma, frames, rows)
         where = frames.sequences[group] if paths.own_worlds else "all passes"
         if laid is None:
-            few = f"fewer than {tuning.least_positions}, or too close together"
+            few = f"fewer than {_LEAST}, or too close together"
             notes.append(f"trajectory of {where}: not fitted to the positions ({few})")
             continue
         measured = np.isfinite(pose[rows, 0, 3])
@@ -287,27 +271,25 @@ class _Laid:
     how: str = "level"
 
 
-def _laid(
-    paths: _Paths, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
-) -> _Laid | None:
+def _laid(paths: _Paths, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray) -> _Laid | None:
     """Poses of some frames in the world; a start model by a similarity if its positions determine its tilt, else level:
     the cameras of a drone have no common up direction."""
     poses, target, sigma = paths.poses[rows], target[rows], sigma[rows]
     good = np.isfinite(target[:, 0])
-    if paths.started and good.sum() > tuning.least_positions:
+    if paths.started and good.sum() > _LEAST:
         off = target[good] - target[good].mean(axis=0)
         across = float(np.linalg.svd(off, compute_uv=False)[1]) / np.sqrt(good.sum())
-        if across > tuning.least_extent_sigmas * np.median(sigma[good, 0]):
+        if across > _LEAST_SIGMAS * np.median(sigma[good, 0]):
             fit, _ = robust_umeyama(poses[good, :3, 3], target[good], sigma[good, 0])
             antenna = fit(poses[:, :3, 3])
             rms = rms_length(antenna[good] - target[good])
             turned = fit.rotation @ poses[:, :3, :3]
             return _Laid(rotation=turned, antenna=antenna, scale=fit.scale, rms_m=rms, how="by a similarity")
-    return _lay_on_gnss(poses, target, sigma, frames, rows, tuning)
+    return _lay_on_gnss(poses, target, sigma, frames, rows)
 
 
 def _lay_on_gnss(
-    poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
+    poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray
 ) -> _Laid | None:
     """Rotation about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions."""
     rig, spec = frames.rigs[frames.rows[rows[0]].rig], frames.specs[frames.rows[rows[0]].rig]
@@ -320,9 +302,9 @@ def _lay_on_gnss(
         arm = (np.linalg.inv(rig_from_body) @ [*rig.antenna_m, 1.0])[:3]
     arm, centre = body[:, :3, :3] @ arm @ level.T, body[:, :3, 3] @ level.T
     good = np.isfinite(target[:, 0])
-    if good.sum() < tuning.least_positions:
+    if good.sum() < _LEAST:
         return None
-    if np.ptp(target[good, :2], axis=0).max() < tuning.least_extent_sigmas * np.median(sigma[good, 0]):
+    if np.ptp(target[good, :2], axis=0).max() < _LEAST_SIGMAS * np.median(sigma[good, 0]):
         return None
     scale = 1.0
     for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry perhaps not

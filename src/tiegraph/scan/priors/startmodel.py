@@ -15,7 +15,6 @@ whose world may be any. Cameras have labels, which are file names, mostly withou
 """
 
 import math
-import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,8 +27,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.camerafile import agisoft_camera, opensfm_cameras
-from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
+from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.rigfiles.rigfaults import is_number
+from tiegraph.scene.cells import number
 from tiegraph.scene.colmapmodel import is_model, read_model
 from tiegraph.scene.namedposes import (
     ACCEPTED,
@@ -146,7 +146,6 @@ def must_be_whole(start: StartModel, whole: bool) -> None:
 
 
 def _opensfm(path: Path) -> StartModel:
-    """The largest reconstruction of a reconstruction.json."""
     data = read_json(path, "a reconstruction.json of OpenSfM or ODM")
     parts = [p for p in (data if isinstance(data, list) else [data]) if isinstance(p, dict)]
     parts = [p for p in parts if isinstance(p.get("shots"), dict) and p["shots"]]
@@ -167,8 +166,6 @@ def _opensfm(path: Path) -> StartModel:
 
 
 def _shot(row: Any, where: str) -> np.ndarray:
-    """world_from_camera (4, 4)."""
-
     def vector(key: str) -> np.ndarray:
         found = transforms.finite_array(row.get(key) if isinstance(row, dict) else None, (3,))
         if found is None:
@@ -180,7 +177,6 @@ def _shot(row: Any, where: str) -> np.ndarray:
 
 
 def _metashape(path: Path) -> StartModel:
-    """The largest component of the largest chunk of a camera export."""
     chunks = [(c, list(c.all("camera"))) for c in parse_xml(path, whole_file(path, f"give {ACCEPTED}")).all("chunk")]
     sizes = [sum(bool(c.said("transform")) for c in cameras) for _, cameras in chunks]
     if not sizes:
@@ -213,10 +209,8 @@ def _metashape(path: Path) -> StartModel:
 
 
 def _transform(camera: Element, where: str) -> np.ndarray:
-    text = camera.said("transform")
-    values = numbers(text)
-    rest = re.sub(NUMBER, "", text).strip()
-    if len(values) != 16 or rest or not np.isfinite(values).all():
+    values = [number(word) for word in camera.said("transform").split()]
+    if len(values) != 16 or not np.isfinite(values).all():
         raise InputError(f"{where} has not 16 numbers: export the cameras again")
     return checked_pose(np.array(values).reshape(4, 4), where)
 

@@ -10,7 +10,6 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
-from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.cells import in_seconds, seconds_of
 from tiegraph.scene.cells import times as times_by_content
 from tiegraph.scene.exif import Exif
@@ -34,7 +33,7 @@ class FrameRow:
 
 
 def read_times(
-    path: Path, frames: Sequence[FrameRow], sequences: Sequence[str], names: Sequence[str], tuning: TimesTuning
+    path: Path, frames: Sequence[FrameRow], sequences: Sequence[str], names: Sequence[str]
 ) -> tuple[np.ndarray, list[str]]:
     """(F,) seconds from a table with the columns time and image, or time and frame and, with several passes, pass.
 
@@ -83,8 +82,8 @@ def read_times(
     out = np.full(len(frames), np.nan)
     for found, mine in rows.items():
         out[found] = np.median(seconds[mine])
-    _say_spread(table, rows, seconds, notes, tuning.same_shot_s)
-    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames, tuning.apart_s)
+    _say_spread(table, rows, seconds, notes)
+    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames)
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
         raise InputError(
             f"{path}, line {table.line(0)}: all {len(rows)} frames have the time {np.nanmax(out):g} s: write the time "
@@ -137,9 +136,9 @@ def _say_unknown(
         )
 
 
-def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, notes: list[str], most_s: float) -> None:
-    """Notes on images of one frame that were taken more than ``most_s`` apart."""
-    wide = [mine for mine in rows.values() if np.ptp(seconds[mine]) > most_s]
+def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, notes: list[str]) -> None:
+    """Notes on images of one frame that were taken apart."""
+    wide = [mine for mine in rows.values() if np.ptp(seconds[mine]) > 0.5]
     if wide:
         mine = max(wide, key=lambda m: float(np.ptp(seconds[m])))
         notes.append(
@@ -148,9 +147,7 @@ def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, n
         )
 
 
-def _say_odd(
-    table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow], apart_s: float
-) -> list[str]:
+def _say_odd(table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow]) -> list[str]:
     """Notes on frames of one pass with the same time, and on those far from the others in time."""
     notes = []
     for sequence in sorted({frames[k].sequence for k in row} - {-1}):
@@ -162,7 +159,7 @@ def _say_odd(
                 f"{table.path.name}, {table.some_lines([row[a], row[b]])}: two frames of one pass have the time "
                 f"{time_s[a]:.10g} s, as have {len(twins)} in it; write the time of each"
             )
-        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), apart_s))
+        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), 3600.0))
         if len(far):
             odd = mine[far[0]]
             notes.append(

@@ -13,7 +13,6 @@ from tiegraph.geometry.transforms import angle_deg, centre, rigid
 from tiegraph.scan.folders import words
 from tiegraph.scan.priors.positions import Frames
 from tiegraph.scan.priors.times import absent
-from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.bags import Bag, Topic, is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.namedposes import called, has_named_poses, read_named_poses
 from tiegraph.scene.names import all_found, clean
@@ -135,7 +134,7 @@ def _poses(bag: Bag, topic: Topic) -> Iterator[tuple[Any, int, str]]:
 
 
 def poses_by_image(
-    trajectory: Trajectory, path: Path, frames: Frames, notes: list[str], tuning: TrajectoryTuning, metric: bool = True
+    trajectory: Trajectory, path: Path, frames: Frames, notes: list[str], metric: bool = True
 ) -> np.ndarray:
     """world_from_rig (F, 4, 4) of the frames by the poses of their images; NaN where none has one.
 
@@ -151,7 +150,7 @@ def poses_by_image(
         count, why = f"{len(strange)} of {len(trajectory)} poses", absent(name, frames.names)
         notes.append(f"{called(path)}: {count} are of images that are not here, such as {name}; {why}")
     if not metric:
-        unit = _metres_per_unit(pose_of, frames, tuning.least_baselines)
+        unit = _metres_per_unit(pose_of, frames)
         if unit is not None:
             pose_of = {k: rigid(p[:3, :3], unit * p[:3, 3]) for k, p in pose_of.items()}
             notes.append(f"{called(path)}: its unit is {unit:.4g} m by the distances between the rig's cameras")
@@ -174,8 +173,8 @@ def _on_rig(frames: Frames, frame: int, image: int) -> np.ndarray | None:
     return np.eye(4) if sensor == 0 else frames.rigs[frames.rows[frame].rig].sensors[sensor].sensor_from_rig
 
 
-def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames, least: int) -> float | None:
-    """Length of a world's unit by the rigs' baselines between images of one frame; None with fewer than ``least``."""
+def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames) -> float | None:
+    """Length of a world's unit by the rigs' baselines between images of one frame; None with fewer than three."""
     ratios = []
     for k, row in enumerate(frames.rows):
         known = [(i, on_rig) for i in row.images if i in pose_of and (on_rig := _on_rig(frames, k, i)) is not None]
@@ -184,7 +183,7 @@ def _metres_per_unit(pose_of: dict[int, np.ndarray], frames: Frames, least: int)
             baseline = float(np.linalg.norm(centre(of_a) - centre(of_b)))
             if apart > 0 and baseline > 0:
                 ratios.append(baseline / apart)
-    return float(np.median(ratios)) if len(ratios) >= least else None
+    return float(np.median(ratios)) if len(ratios) >= 3 else None
 
 
 def images_by_name(given: Sequence[str], path: Path, names: Sequence[str]) -> dict[int, int]:

@@ -46,7 +46,7 @@ from tiegraph.scan.rigfiles.cameraread import (
 )
 from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, is_number, lens_fault, nearest
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
-from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.textfile import Element, parse_xml, text_lines, utf8_text
 
@@ -71,7 +71,7 @@ def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
     return found
 
 
-def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
+def check_lens(found: FoundCamera) -> None:
     """Raise InputError for a camera that is physically impossible."""
     if found.size is None:
         return
@@ -79,7 +79,7 @@ def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
     if max(found.size) > MAX_SIDE_PX:
         raise InputError(f"{found.where}: images of {width} x {height}: at most {MAX_SIDE_PX} are read; correct it")
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
-    if wrong := lens_fault(camera, tuning):
+    if wrong := lens_fault(camera):
         raise InputError(f"{found.where}: {wrong}")
 
 
@@ -107,7 +107,6 @@ def check_count(model: str, params: tuple[float, ...], where: str) -> None:
 
 
 def _cameras_txt(content: str, where: str) -> list[FoundCamera]:
-    """COLMAP's cameras.txt: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]."""
     found = []
     for number, line in enumerate(text_lines(content), 1):
         words, at = line.split(), f"{where}, line {number}"
@@ -137,13 +136,10 @@ def cameras_bin(path: Path, where: str) -> list[FoundCamera]:
     except OSError as error:
         raise InputError(f"{where}: cannot be read ({error})") from None
     except (struct.error, KeyError, OverflowError):
-        raise InputError(f"{where}: no cameras.bin of COLMAP, or cut off; export the model again") from None
+        at = -1
     if at != len(data) or not found:
         raise InputError(f"{where}: no cameras.bin of COLMAP, or cut off; export the model again")
     return found
-
-
-_CHAIN = "T_cn_cnm1"
 
 
 def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpec:
@@ -153,7 +149,7 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
         raise InputError(f"{path}: no camera (cam0: with camera_model and intrinsics) in it: is it a camchain.yaml?")
     for number, (camera, found) in enumerate(zip(blocks, kalibr(content, str(path)))):
         check_count(found.model, found.params, found.where)
-        check_lens(found, tuning.camera)
+        check_lens(found)
         if number:
             pose = pose @ invert(_link(blocks[camera], f"{path}, {camera}"))
         sensors.append(SensorSpec(name=camera, body_from_sensor=pose, number=number, **found.of_sensor()))
@@ -165,19 +161,16 @@ def kalibr_rig(path: Path, content: str, name: str, tuning: RigTuning) -> RigSpe
 
 def _link(block: str, where: str) -> np.ndarray:
     """(4, 4) from the previous camera to this one."""
-    given = matrix_of(block, _CHAIN)
+    given = matrix_of(block, "T_cn_cnm1")
     if not given:
         raise InputError(
-            f"{where}: no {_CHAIN}: its pose in the rig is missing. Calibrate the cameras together, or give a rig.toml"
+            f"{where}: no T_cn_cnm1: its pose in the rig is missing. Calibrate the cameras together, or give a rig.toml"
         )
-    matrix = np.array(exactly(given, 16, f"{where}: {_CHAIN}")).reshape(4, 4)
+    matrix = np.array(exactly(given, 16, f"{where}: T_cn_cnm1")).reshape(4, 4)
     good = np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])
     if not good or not are_rotations(matrix[:3, :3], UNIT):
-        raise InputError(f"{where}: {_CHAIN} is no rotation and position (4 rows of 4, the last 0, 0, 0, 1)")
+        raise InputError(f"{where}: T_cn_cnm1 is no rotation and position (4 rows of 4, the last 0, 0, 0, 1)")
     return matrix
-
-
-# --- OpenSfM ----------------------------------------------------------------------------------------------------------
 
 
 def opensfm(content: str, where: str) -> list[FoundCamera]:
@@ -220,7 +213,6 @@ def _opensfm(name: str, row: dict[str, Any], where: str) -> FoundCamera:
 def _opensfm_lens(
     kind: str, focal: tuple[float, float], middle: tuple[float, ...], value: dict[str, float], where: str
 ) -> tuple[str, tuple[float, ...]]:
-    """COLMAP's model and parameters."""
     one = focal[0] == focal[1]
     radial = ("RADIAL", "k1 k2") if one else ("OPENCV", "k1 k2 - -")
     forms = {  # a term that OpenSfM lacks is 0
@@ -240,9 +232,6 @@ def _opensfm_lens(
     model, terms = forms[kind]
     first = focal[:1] if model.startswith("RADIAL") else focal
     return model, (*first, *middle, *(value.get(t, 0.0) for t in terms.split()))
-
-
-# --- Agisoft ----------------------------------------------------------------------------------------------------------
 
 
 _TERMS = (

@@ -14,12 +14,14 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
-from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair, on_plane
 
 MAX_SIDE_PX = 100_000  # of an image in a rig file
 MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
 SIGMA_M, SIGMA_DEG = (1e-6, 100.0), (1e-6, 180.0)  # range of the sigmas of lengths and angles
+FOV_DEG = (1.0, 170.0)  # across a perspective image: the edges of the largest lie at tan(85) = 11 focal lengths
+_STRETCH = (1 / 3, 10.0)  # limits of the field angle at the edge of the image with distortion over that without
 _FISHEYE_LINES = 8  # of a fisheye image; those of a perspective one go to its corners and the middles of its sides
 _EDGE = 0.95  # share of that line that is tested: calibrations may fold in the last corner pixels
 
@@ -116,9 +118,6 @@ def nearest(value: Any, valid: tuple[Any, ...], cutoff: float = 0.5) -> str:
     return f"; perhaps you meant {near[0]!r}?" if near else ""
 
 
-# --- geometry ---------------------------------------------------------------------------------------------------------
-
-
 class Fault(NamedTuple):
     """A fault: the key in the ``number``-th sensor or pair, and the sentence."""
 
@@ -148,7 +147,7 @@ def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
             yield Fault(table="pairs", number=number, key=key, message=said)
 
 
-def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
+def contradictions(spec: RigSpec) -> list[str]:
     """Contradictions of pairs to positions and orientations; those of a nominal rig are no measurement."""
     places = {s.name: s.body_from_sensor for s in spec.sensors if s.body_from_sensor is not None}
     out = []
@@ -165,7 +164,7 @@ def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
             f"pair {' - '.join(pair.sensors)}: {value:g} {unit} with sigma {sigma:g}, but the sensors' own poses give "
             f"{found:.4g}: check which is right"
             for value, sigma, found, unit in said
-            if value is not None and sigma is not None and abs(value - found) > tuning.contradiction_sigmas * sigma
+            if value is not None and sigma is not None and abs(value - found) > 10 * sigma
         ]
     return out
 
@@ -196,9 +195,6 @@ def _pair(pair: SensorPair, tuning: RigTuning) -> Iterator[tuple[str, str]]:
             yield key, f"{key} = {value:g}: expected {least:g} to {most:g}"
 
 
-# --- lenses ---------------------------------------------------------------------------------------------------------
-
-
 def count_fault(model: str, params: Sequence[float]) -> str:
     """The fault in the number of parameters of a camera model, "" if none."""
     info = pycolmap.Camera.create_from_model_name(0, model, 1.0, 1, 1)
@@ -206,7 +202,7 @@ def count_fault(model: str, params: Sequence[float]) -> str:
     return "" if len(params) == len(info.params) else said
 
 
-def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
+def lens_fault(camera: pycolmap.Camera) -> str:
     """The fault of a calibrated camera, "" if none: focal lengths, principal point, view, distortion.
 
     Lines from the principal point to the edge of the image must become rays whose angle grows steadily, that are finite
@@ -219,10 +215,10 @@ def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
         return f"{camera.model.name} is no camera model of a rig: --rig panorama reads panoramas"
     if min(focal) <= 0:
         return f"the focal length is {min(focal):g} px: it must be above 0"
-    if max(focal) > tuning.max_aspect * min(focal):
+    if max(focal) > 2 * min(focal):
         return f"the focal lengths {focal[0]:g} and {focal[1]:g} px differ too much: fx and fy of nearly square pixels"
     fisheye = "FISHEYE" in camera.model.name or camera.model.name in ("EUCM", "EQUIRECTANGULAR")
-    if wrong := focal_fault(min(focal), width, fisheye, tuning):
+    if wrong := focal_fault(min(focal), width, fisheye):
         return wrong
     middle = np.array([camera.principal_point_x, camera.principal_point_y])
     if not (0 < middle[0] < width and 0 < middle[1] < height):
@@ -230,30 +226,30 @@ def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
             f"the principal point ({middle[0]:g}, {middle[1]:g}) is not inside the {width} x {height} image. If the "
             "parameters belong to another image size, give it as size = [width, height] in a rig.toml"
         )
-    if (np.abs(middle / [width, height] - 0.5) > tuning.off_centre).all():
+    if (np.abs(middle / [width, height] - 0.5) > 0.4).all():
         return (
             f"the principal point ({middle[0]:g}, {middle[1]:g}) is in a corner of the {width} x {height} image: it "
             "counts pixels from the upper left corner, not from the middle, and is no fraction of the sides"
         )
-    return _fold(camera, middle, fisheye, tuning)
+    return _fold(camera, middle, fisheye)
 
 
-def focal_fault(focal_px: float, width: int, fisheye: bool, tuning: CameraTuning) -> str:
+def focal_fault(focal_px: float, width: int, fisheye: bool) -> str:
     """The fault of a focal length of images ``width`` px wide, "" if none."""
     ratio = width / 2 / focal_px
     across = float(np.degrees(2 * (ratio if fisheye else np.arctan(ratio))))
-    least, most = tuning.min_fov_deg, 360.0 if fisheye else tuning.max_fov_deg
+    least, most = FOV_DEG[0], 360.0 if fisheye else FOV_DEG[1]
     if least <= across <= most:
         return ""
     said = f"a focal length of {focal_px:g} px sees {across:.3g} degrees across {width} px"
     return f"{said}, not {least:g} to {most:g}: is it in millimetres, or of another image size?"
 
 
-def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> str:
+def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool) -> str:
     said = f"{camera.model.name} with the parameters {[float(f'{p:.6g}') for p in camera.params]}"
-    limit = tuning.round_trip * max(camera.width, camera.height)
+    limit = 0.01 * max(camera.width, camera.height)  # between a pixel and that to which its ray is projected back
     share = np.linspace(0, 1, 25)[1:, None]  # along a line from the middle to the edge
-    for end in _ends(camera, middle, fisheye, tuning):
+    for end in _ends(camera, middle, fisheye):
         if np.linalg.norm(end - middle) < limit:  # the principal point is at that edge
             continue
         pixels = middle + _EDGE * share * (end - middle)
@@ -268,7 +264,7 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
             return f"{said} folds or tears the image at pixel ({x:.0f}, {y:.0f}): are the distortion parameters right?"
         straight = np.linalg.norm((end - middle) * _EDGE) / camera.mean_focal_length()
         stretch = float(angle[-1] if fisheye else np.tan(angle[-1])) / straight
-        if not tuning.stretch[0] <= stretch <= tuning.stretch[1]:
+        if not _STRETCH[0] <= stretch <= _STRETCH[1]:
             return (
                 f"{said} moves the edge of the image {stretch:.2g} times as far out as without distortion: are the "
                 "parameters those of normalised coordinates?"
@@ -276,11 +272,11 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
     return ""
 
 
-def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> np.ndarray:
+def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool) -> np.ndarray:
     """(E, 2) ends of lines from the middle: the edge of the image, or the circle that any fisheye lens covers."""
     width, height = camera.width, camera.height
     if fisheye:
         turn = 2 * np.pi / _FISHEYE_LINES * np.arange(_FISHEYE_LINES)
-        return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        return middle + min(width, height) / 4 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)

@@ -102,7 +102,7 @@ def read_rig_file(path: Path | str, tuning: RigTuning, text: str | None = None) 
 def parse_rig_file(path: Path, text: str, tuning: RigTuning, colmap: bool = False) -> tuple[RigSpec, ...]:
     """The rigs of the text of a rig.toml or rig_config.json that comes from ``path``. Raises InputError, naming it."""
     try:
-        reader = _ColmapReader(path, text) if colmap else _TomlReader(path, text, tuning)
+        reader = _ColmapReader(path, text) if colmap else _TomlReader(path, text)
         rigs = reader.rigs()
     except RecursionError:
         raise InputError(f"{path}: too many nested brackets for a rig file") from None
@@ -114,9 +114,9 @@ def parse_rig_file(path: Path, text: str, tuning: RigTuning, colmap: bool = Fals
     return rigs
 
 
-def camera_table(path: Path, text: str, tuning: RigTuning) -> SensorSpec:
+def camera_table(path: Path, text: str) -> SensorSpec:
     """The camera of a rig.toml with one sensor, or with a table [camera] alone. Raises InputError."""
-    reader = _TomlReader(path, text, tuning)
+    reader = _TomlReader(path, text)
     if reader.data.get("sensors"):
         (rig,) = reader.rigs()
         if len(rig.sensors) > 1:
@@ -131,9 +131,9 @@ def camera_table(path: Path, text: str, tuning: RigTuning) -> SensorSpec:
 
 
 class _TomlReader:
-    def __init__(self, path: Path, text: str, tuning: RigTuning) -> None:
+    def __init__(self, path: Path, text: str) -> None:
         """Raises InputError for what is no TOML."""
-        self.path, self.lines, self.tuning = path, text_lines(text), tuning.camera
+        self.path, self.lines = path, text_lines(text)
         try:
             self.data = tomllib.loads("\n".join(self.lines))
         except tomllib.TOMLDecodeError as error:
@@ -251,7 +251,7 @@ class _TomlReader:
             raise part.fail("size", f"size = {data['size']!r}: expected width and height in whole pixels")
         if size is not None and params is not None and model is not None:
             lens = pycolmap.Camera(model=model, width=int(size[0]), height=int(size[1]), params=params)
-            if wrong := lens_fault(lens, self.tuning):
+            if wrong := lens_fault(lens):
                 raise part.fail("params", f"camera of {where}: {wrong}")
         return {
             "at": part.at(given[0]) if given else "",
@@ -270,7 +270,7 @@ class _TomlReader:
             raise part.fail("file", f"camera of {where}: file = the path of a calibration, and no other key")
         at = f"{part.at('file')}: {name}"
         found = only_one(read_camera_file(self.path.parent / name, at), at)
-        check_lens(found, self.tuning)
+        check_lens(found)
         return found.of_sensor()
 
 
@@ -303,7 +303,6 @@ def _pose(part: Part, axes: str) -> np.ndarray | None:
 
 
 def _matrix(part: Part) -> np.ndarray:
-    """(3, 3), (3, 4) or (4, 4) of body_from_sensor."""
     key = "body_from_sensor"
     matrix = finite_array(part.data[key], (3, 3), (3, 4), (4, 4))
     if matrix is None:

@@ -19,7 +19,6 @@ from tiegraph.scan.folders import is_camera
 from tiegraph.scan.recording import RECORDED_RANGE_S, Recording
 from tiegraph.scan.rigfiles.camerafile import check_lens
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, opencv
-from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.bags import METADATA, SUFFIXES, Bag, Topic, in_full, is_bag, of_topic, open_bag, shown, stamp_ns
 from tiegraph.scene.cells import date_text
@@ -146,7 +145,7 @@ class BagFilm:
             elif picture is not None:
                 self.late += 1
 
-    def doubts(self, tuning: PicturesTuning) -> str:
+    def doubts(self) -> str:
         """Faults of the frames read, to follow other words; "" for none."""
         lost = self._topic.count - self.count - self.late
         said = f"; {lost} of its {self._topic.count} messages have no whole picture" if lost > 0 else ""
@@ -164,7 +163,7 @@ class BagFilm:
             start_s=start_s + shift_s, known=True, utc=dated, shared=True, note=f"{name}: begins at {when} by {by}"
         )
 
-    def camera(self, size: tuple[int, int], tuning: CameraTuning) -> tuple[FoundCamera | None, str]:
+    def camera(self, size: tuple[int, int]) -> tuple[FoundCamera | None, str]:
         """The bag's calibration for images of a size (width, height), and a note."""
         parts = _source(self._topic.name)
         beside = {"/" + "/".join([*above, "camera_info"]) for above in (parts[:-1], parts)}
@@ -178,7 +177,7 @@ class BagFilm:
             if found is not None and found.size is not None and found.size != size:
                 raise InputError(f"{where}: of images of {found.size[0]} x {found.size[1]}, not {size[0]} x {size[1]}")
             if found is not None:
-                check_lens(found, tuning)
+                check_lens(found)
         except InputError as error:
             return None, f"no calibration is taken from {error}"
         return found, "" if found else f"{where}: a camera that was not calibrated (K = 0): not used"

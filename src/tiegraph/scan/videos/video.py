@@ -10,7 +10,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath, PurePosixPath
 
@@ -19,7 +19,6 @@ import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.recording import VIDEO, BrokenTrack, OneVideoTrack, Recording, edits, tracks
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videos.bagfilms import KINDS as TOPICS
 from tiegraph.scan.videos.bagfilms import BagFilm
 from tiegraph.scan.videos.videotime import VideoClock
@@ -29,6 +28,8 @@ from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
+# Steps up to which frames of a rig's other cameras are taken: half a one, and a margin for stamps in whole milliseconds
+NEAREST_STEPS = 0.75
 _TAKEN = ".taken.json"  # hidden: no image
 
 Frame = tuple[float, np.ndarray]  # stamp in s since the start of the recording, BGR picture
@@ -96,10 +97,10 @@ class OpenVideo:
             last = stamp
             yield stamp + self._delay_s, picture
 
-    def doubts(self, tuning: PicturesTuning) -> str:
+    def doubts(self) -> str:
         """Faults of the frames read, to follow other words; "" for none."""
         said = ""
-        if self.count < tuning.least_decoded * self.expected:
+        if self.count < 0.95 * self.expected:  # the count in some headers is an estimate
             said += f"; only {self.count} of its {self.expected:.0f} frames could be decoded: is the file cut off?"
         if self.unstamped:
             said += (
@@ -154,9 +155,7 @@ def _capture(video: Path) -> cv2.VideoCapture:
         return cv2.VideoCapture(str(link))
 
 
-def take_pictures(
-    recording: Recording, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning
-) -> Pictures:
+def take_pictures(recording: Recording, folder: Path, choice: Choice, clock: VideoClock) -> Pictures:
     """Write the chosen frames of a recording below ``folder``, with time and position in their EXIF.
 
     The folder is made whole or not at all; an existing one is kept. Never raises for a broken video; raises
@@ -177,15 +176,12 @@ def take_pictures(
             write_pixels(partial / f"{folder.name}_{number:06d}.jpg", picture[..., ::-1], clock.taken(stamp))
             numbers.append(number)
             stamps.append(stamp)
-        found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened, tuning))
+        said = f"{name}: {len(stamps)} pictures, {choice.words}{opened.doubts()}"
+        if not stamps:
+            said = f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
+        found = Pictures(tuple(numbers), tuple(stamps), said)
         (partial / _TAKEN).write_text(json.dumps(asdict(found)))
     return found
-
-
-def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm, tuning: PicturesTuning) -> str:
-    if not count:
-        return f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
-    return f"{name}: {count} pictures, {words}{opened.doubts(tuning)}"
 
 
 def sharpest(per_second: float) -> Choice:
@@ -237,9 +233,6 @@ def _sharpness(picture: np.ndarray) -> float:
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
 
 
-# --- videos of 360 cameras before stitching --------------------------------------------------------------------------
-
-
 SUFFIX = ".insv"
 _OF_LENS = re.compile(r"^(VID_\d+_\d+)_([01])0_(\d+)$", re.IGNORECASE)
 
@@ -255,16 +248,10 @@ def _of_lens(video: PurePath) -> re.Match[str] | None:
 
 def recordings_of(video: Path, folder: str) -> list[tuple[Recording, str]]:
     """A video with the folder of its pictures; if its two lenses have a track each, <folder>/fisheye0 and 1."""
-    if not (video.suffix.lower() == SUFFIX and _two_tracks(video)):
+    shown: list[bytes] = []
+    if video.suffix.lower() == SUFFIX:
+        with suppress(OSError), regular(video, None).open("rb") as file:
+            shown = [track.shown for track in tracks(file) if track.kind == VIDEO]
+    if len(shown) != 2 or shown[0] != shown[1]:
         return [(Recording(video), folder)]
     return [(Recording(video, k), f"{folder}/fisheye{k}") for k in range(2)]
-
-
-def _two_tracks(path: Path) -> bool:
-    """Whether a file has two video tracks of one size."""
-    try:
-        with regular(path, None).open("rb") as file:
-            shown = [track.shown for track in tracks(file) if track.kind == VIDEO]
-    except OSError:
-        return False
-    return len(shown) == 2 and shown[0] == shown[1]

@@ -23,10 +23,20 @@ from tiegraph.geometry.align import robust_sigma
 from tiegraph.scan.assign import assign
 from tiegraph.scan.prepare import Report, Usable
 from tiegraph.scan.settings import ScanSettings, video_offsets
-from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.views import PRESET
 from tiegraph.scene.images import Probe
 
+_WIDTH_PX = 640  # of compared pictures: KITTI's two cameras agree best there (of 320, 640 and 1241)
+_MOST_S = 300.0  # from the video's start; clocks of cameras drift by 10 to 50 us a second, 15 ms in this time at most
+_LEAST_FRAMES, _LEAST_S = 20, 2.0  # of a video; seconds that two must share at a tried offset
+_NOISE_PX = 0.02  # sigma of the measured motion per step
+_APART_STEPS = 4.0  # offsets farther apart are different: the motion within a second is similar to itself
+# Least ratio of the likelihood of the best offset to that of the best different one, and to noise. Among wrong ones the
+# best has up to 1.6 times the next (curves of 20 s); KITTI's 5 s of a straight road have 3.7.
+_LEAST_GAIN = 2.5
+_SMOOTHING = 0.01  # steps; what interpolation between frames may add to the error (synthetic curves: 0.007)
+_MOST_SIGMA = 0.5  # steps; with a larger sigma the offset could be that of the next frame
 # Resolution of the search, not decisions:
 _PHASES = 4  # grids between two steps
 _BLOCKS = 8  # of time, of the jackknife
@@ -44,7 +54,7 @@ class Offset:
     refused: str = ""
 
 
-def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -> Offset:
+def find_offset(first: MotionCurve, second: MotionCurve) -> Offset:
     """The offset of ``second`` to ``first``.
 
     Its sigma is that of a jackknife over blocks of the shared time, or half the difference between its two halves, if
@@ -52,59 +62,59 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     contradict each other.
     """
     few = min(len(first.stamp_s), len(second.stamp_s))
-    if few < tuning.least_frames:
+    if few < _LEAST_FRAMES:
         return Offset(refused=f"{few} frames are too few")
     step = max(first.step_s(), second.step_s())
-    coarse = _Pair(first, second, max(step, 0.1), tuning)  # steps of the search over all offsets ...
-    fine = _Pair(first, second, step, tuning)
-    rough, refused = _stands_out(fine, _candidates(coarse, tuning), coarse.step_s, tuning)
+    coarse = _Pair(first, second, max(step, 0.1))  # steps of the search over all offsets ...
+    fine = _Pair(first, second, step)
+    rough, refused = _stands_out(fine, _candidates(coarse), coarse.step_s)
     if refused:
         return Offset(refused=refused)
-    peak = _peaks(fine, rough, 1.5 * coarse.step_s, tuning)
+    peak = _peaks(fine, rough, 1.5 * coarse.step_s)
     every = np.ones(_BLOCKS, bool)
     early = np.arange(_BLOCKS) < _BLOCKS // 2
     best, apart = peak(every), peak(early) - peak(~early)
     left_out = np.array([peak(np.arange(_BLOCKS) != k) for k in range(_BLOCKS)])
     jackknife = float(np.sqrt((_BLOCKS - 1) * np.mean((left_out - left_out.mean()) ** 2)))
-    sigma = float(np.hypot(max(jackknife, abs(apart) / 2), tuning.smoothing * step))
-    if sigma > tuning.most_sigma * step:
+    sigma = float(np.hypot(max(jackknife, abs(apart) / 2), _SMOOTHING * step))
+    if sigma > _MOST_SIGMA * step:
         return Offset(refused=f"its motion gives {best:+.3f} s, but its halves differ by {abs(apart):.3f} s")
     begin, end = fine.shared(best)
     return Offset(best, sigma, end - begin)
 
 
-def _candidates(pair: _Pair, tuning: OffsetTuning) -> list[float]:
+def _candidates(pair: _Pair) -> list[float]:
     """The likeliest offsets, best first, separated from each other, of all with enough common time."""
-    offsets = pair.offsets(tuning.least_s)
+    offsets = pair.offsets()
     likelihood = np.array([pair.likelihood(o) for o in offsets])
     found: list[float] = []
     for k in np.argsort(-likelihood, kind="stable"):
         if len(found) == 8:  # ... and offsets of it that are tested in steps of a frame
             break
-        if all(abs(offsets[k] - f) > tuning.apart_steps * pair.step_s for f in found):
+        if all(abs(offsets[k] - f) > _APART_STEPS * pair.step_s for f in found):
             found.append(float(offsets[k]))
     return found
 
 
-def _stands_out(pair: _Pair, candidates: list[float], reach_s: float, tuning: OffsetTuning) -> tuple[float, str]:
+def _stands_out(pair: _Pair, candidates: list[float], reach_s: float) -> tuple[float, str]:
     """The likeliest of some offsets, each refined in quarters of steps about it; and why it is unreliable."""
     if not candidates:
-        return 0.0, f"the videos are shorter than the {tuning.least_s:g} s that are compared at least"
+        return 0.0, f"the videos are shorter than the {_LEAST_S:g} s that are compared at least"
     around = pair.step_s / 4 * np.arange(-int(4 * reach_s / pair.step_s), int(4 * reach_s / pair.step_s) + 1)
     tried = [[pair.likelihood(c + o) for o in around] for c in candidates]
     likelihood = np.max(tried, axis=1)
     order = np.argsort(-likelihood, kind="stable")
     offset = [c + around[int(np.argmax(row))] for c, row in zip(candidates, tried)]
     best, second = offset[order[0]], float(likelihood[order[1]]) if len(order) > 1 else 0.0
-    if likelihood[order[0]] < tuning.least_gain * max(second, CHANNELS**2 / 2):
+    if likelihood[order[0]] < _LEAST_GAIN * max(second, CHANNELS**2 / 2):
         also = f"; {offset[order[1]]:+.2f} s fits nearly as well" if len(order) > 1 else ""
         return 0.0, f"no offset stands out ({best:+.2f} s fits best{also})"
     return float(best), ""
 
 
-def _information(covariance: np.ndarray, noise_px: float) -> float:
+def _information(covariance: np.ndarray) -> float:
     """Mutual information a sample (nats) of the two halves of jointly Gaussian signals of zero mean."""
-    noisy = covariance + noise_px**2 * np.eye(len(covariance))
+    noisy = covariance + _NOISE_PX**2 * np.eye(len(covariance))
     half = len(covariance) // 2
     parts = np.linalg.slogdet(noisy[:half, :half])[1] + np.linalg.slogdet(noisy[half:, half:])[1]
     return float(0.5 * (parts - np.linalg.slogdet(noisy)[1]))
@@ -113,8 +123,8 @@ def _information(covariance: np.ndarray, noise_px: float) -> float:
 class _Pair:
     """The whitened motion of two videos in equal steps of time, for any offset between them."""
 
-    def __init__(self, first: MotionCurve, second: MotionCurve, step_s: float, tuning: OffsetTuning) -> None:
-        self.step_s, self._tuning = step_s, tuning
+    def __init__(self, first: MotionCurve, second: MotionCurve, step_s: float) -> None:
+        self.step_s = step_s
         self._splines = [scipy.interpolate.CubicSpline(c.stamp_s, c.moved_px) for c in (first, second)]
         self._ends = [(float(c.stamp_s[0]), float(c.stamp_s[-1])) for c in (first, second)]
         colour = [
@@ -122,13 +132,11 @@ class _Pair:
         ]
         self._colour = float(np.mean(colour))
 
-    def offsets(self, least_s: float) -> np.ndarray:
-        """Offsets in half steps at which the videos share ``least_s`` seconds."""
+    def offsets(self) -> np.ndarray:
+        """Offsets in half steps at which the videos share enough seconds."""
         (a, b), (c, d) = self._ends
-        low, high = a - d + least_s, b - c - least_s
-        return (
-            low + self.step_s / 2 * np.arange(int((high - low) / (self.step_s / 2)) + 1) if high >= low else np.zeros(0)
-        )
+        low, high, half = a - d + _LEAST_S, b - c - _LEAST_S, self.step_s / 2
+        return low + half * np.arange(int((high - low) / half) + 1 if high >= low else 0)
 
     def shared(self, offset_s: float) -> tuple[float, float]:
         """First and last stamp of the first video within the second."""
@@ -136,13 +144,13 @@ class _Pair:
         return max(a, c + offset_s), min(b, d + offset_s)
 
     def likelihood(self, offset_s: float) -> float:
-        """Of an offset, by the whole shared time (nats); 0 if that is less than ``least_s``."""
+        """Of an offset, by the whole shared time (nats); 0 if that is too short."""
         begin, end = self.shared(offset_s)
-        if end - begin < self._tuning.least_s:
+        if end - begin < _LEAST_S:
             return 0.0
         at = begin + self.step_s * np.arange(int((end - begin) / self.step_s + 1e-9) + 1)
         moved = self.moved(at, at - offset_s)
-        return len(moved) * _information(moved.T @ moved / len(moved), self._tuning.noise_px)
+        return len(moved) * _information(moved.T @ moved / len(moved))
 
     def moved(self, first_s: np.ndarray, second_s: np.ndarray) -> np.ndarray:
         """(n, 2 CHANNELS) motion of both per step, less the prediction from the step before, at stamps (n + 2,) of
@@ -159,7 +167,7 @@ def _autocorrelation(moved: np.ndarray) -> float:
     return float(np.sum(centred[1:] * centred[:-1] / np.where(power > 0, power, np.inf)) / CHANNELS)
 
 
-def _peaks(pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) -> Callable[[np.ndarray], float]:
+def _peaks(pair: _Pair, rough_s: float, reach_s: float) -> Callable[[np.ndarray], float]:
     """A function for the most likely offset near a rough one, by some of the blocks (B,) of time: the vertex of a
     parabola about the best one tried."""
     count = int(np.ceil(12 * reach_s / pair.step_s))
@@ -178,7 +186,7 @@ def _peaks(pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) ->
 
     def peak(blocks: np.ndarray) -> float:
         total = counts[blocks].sum()
-        likelihood = np.array([_information(s[blocks].sum(axis=0) / total, tuning.noise_px) for s in sums])
+        likelihood = np.array([_information(s[blocks].sum(axis=0) / total) for s in sums])
         best = changes[int(np.argmax(likelihood))]
         near = np.abs(changes - best) <= near_s
         curved, slope, _ = np.polyfit(changes[near] - best, likelihood[near], 2)
@@ -213,12 +221,11 @@ def films_together(
     usable = Usable(tuple(range(len(films))), tuple(names), probes, video=True)
     survey = assign(rig, usable, settings, Report(), tuning, text)
     groups: dict[tuple[int, str], dict[int, int]] = {}
-    alone = set(range(len(films)))
     for shot in survey.shots:
         if shot.sequence:
             groups.setdefault((shot.rig, shot.sequence), {})[shot.sensor] = shot.image
     together = [tuple(g[s] for s in sorted(g)) for g in groups.values() if len(g) > 1]
-    return sorted(together + [(k,) for k in alone.difference(*together)])
+    return sorted(together + [(k,) for k in set(range(len(films))).difference(*together)])
 
 
 def offsets_given(folders: Sequence[str], settings: ScanSettings) -> dict[int, float]:
@@ -252,16 +259,16 @@ class MotionCurve:
         return float(np.median(np.diff(self.stamp_s)))
 
 
-def motion_curve(frames: Iterable[tuple[float, np.ndarray]], tuning: MotionTuning) -> MotionCurve:
-    """The motion of (stamp in s, BGR picture), over the first ``most_s`` seconds; dense flow and a robust fit to it."""
+def motion_curve(frames: Iterable[tuple[float, np.ndarray]]) -> MotionCurve:
+    """The motion of (stamp in s, BGR picture), over the first minutes; dense flow and a robust fit to it."""
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     stamps: list[float] = []
     moved: list[np.ndarray] = []
     before: np.ndarray | None = None
     for stamp, picture in frames:
-        if stamps and stamp - stamps[0] > tuning.most_s:
+        if stamps and stamp - stamps[0] > _MOST_S:
             break
-        scale = min(1.0, tuning.width_px / picture.shape[1])
+        scale = min(1.0, _WIDTH_PX / picture.shape[1])
         small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         grey = small if small.ndim == 2 else cv2.cvtColor(small, cv2.COLOR_BGR2GRAY)
         step = np.zeros(CHANNELS)

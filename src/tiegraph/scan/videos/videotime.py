@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.scan.recording import RECORDED_RANGE_S, BrokenTrack, Fixes, Readings, believed, boxes
+from tiegraph.scan.recording import RECORDED_RANGE_S, BrokenTrack, Fixes, Readings, believed, contents
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.telemetry import Telemetry, read_gpmf, read_trailer
-from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.cells import date_text, seconds_of
 from tiegraph.scene.exif import Taken
@@ -20,6 +19,7 @@ from tiegraph.scene.names import clean
 from tiegraph.scene.times import DAY_S
 
 _MP4_EPOCH_S = datetime(1904, 1, 1, tzinfo=timezone.utc).timestamp()  # ISO/IEC 14496-12, 8.2.2
+CREATION_APART_S = 2.0  # creation times of two videos of a rig, in whole seconds, against their offset
 _QUARTER_S = 900.0  # time zones are whole quarters of an hour ...
 _ZONES_S = (-12 * 3600.0, 14 * 3600.0)  # ... in this range
 
@@ -41,9 +41,10 @@ class VideoClock:
         return replace(place, time_s=self.start_s + stamp_s, utc=self.utc)
 
 
-def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> VideoClock:
+def video_clock(video: Path, settings: ScanSettings) -> VideoClock:
     """The clock of a video, with ``scan.video_offset`` of all videos applied; never raises for a broken file."""
-    name, file, told = clean(video.name), subtitles_of(video), video_offsets(settings.video_offset)
+    name, told = clean(video.name), video_offsets(settings.video_offset)
+    file = next((f for s in (".SRT", ".srt", ".Srt") if (f := video.with_suffix(s)).exists()), None)
     subtitles = None if file is None else read_subtitles(file, settings.gnss_sigma_m)
     notes = [] if file is None or subtitles is None else subtitles.notes(clean(file.name))
     if file is not None and subtitles is None:
@@ -52,16 +53,16 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
         start = subtitles.start_s + told.all_s
         return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
     clock, length_s = _container(video, told)
-    telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s, tuning)
+    telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s)
     if telemetry is not None:
-        clock = _by_telemetry(telemetry, clock, told.all_s, tuning)
+        clock = _by_telemetry(telemetry, clock, told.all_s)
     elif subtitles is None:
-        clock = _by_trailer(video, clock, length_s, settings.max_gap_s, tuning)
+        clock = _by_trailer(video, clock, length_s, settings.max_gap_s)
     notes.append(f"{name}: {clock.note}")
     return replace(clock, places=subtitles or clock.places, note="; ".join(notes))
 
 
-def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning: PicturesTuning) -> VideoClock:
+def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float) -> VideoClock:
     """The clock of a video whose fixes are on its own clock; ``clock``: of its container, ``all_s`` later."""
     if np.isnan(telemetry.start_s):
         return replace(clock, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}")
@@ -71,9 +72,7 @@ def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float, tuning:
     return VideoClock(telemetry.start_s + all_s, known=True, utc=True, places=telemetry.fixes, note=note)
 
 
-def _by_trailer(
-    video: Path, clock: VideoClock, length_s: float, max_gap_s: float, tuning: PicturesTuning
-) -> VideoClock:
+def _by_trailer(video: Path, clock: VideoClock, length_s: float, max_gap_s: float) -> VideoClock:
     """The clock of a video whose fixes, if any, have times in UTC and no stamps."""
     try:
         readings = read_trailer(video)
@@ -82,10 +81,10 @@ def _by_trailer(
         return replace(clock, note=f"{clock.note}; {said}")
     if readings is None:
         return clock
-    kept, words = believed(readings, tuning)
+    kept, words = believed(readings)
     kept = kept.where(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
     said = f"positions from its Insta360 trailer: {words}"
-    zone_s = _zone(kept, clock, length_s, tuning)
+    zone_s = _zone(kept, clock, length_s)
     if not len(kept) or zone_s is None:
         why = "" if not len(kept) else ", but their times are not those of the recording (--scan.video-offset SECONDS)"
         return replace(clock, note=f"{clock.note}; {said}{why}: none used")
@@ -96,17 +95,18 @@ def _by_trailer(
     return VideoClock(start, known=True, utc=True, places=fixes, note=f"{clock.note}; {said}")
 
 
-def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesTuning) -> float | None:
+def _zone(fixes: Readings, clock: VideoClock, length_s: float) -> float | None:
     """Seconds to add to the start of a recording to get UTC, by its fixes; None if no time zone makes them
     those of the recording."""
     if not len(fixes) or not clock.known:
         return None
     stamp_s = fixes.time_s - clock.start_s
-    if np.mean((stamp_s >= 0) & (stamp_s <= length_s)) >= tuning.zone_inside:
+    if np.mean((stamp_s >= 0) & (stamp_s <= length_s)) >= 0.9:
         return 0.0
     apart = float(stamp_s[0] + stamp_s[-1] - length_s) / 2
     zone = _QUARTER_S * round(apart / _QUARTER_S)
-    fits = _ZONES_S[0] <= -zone <= _ZONES_S[1] and abs(apart - zone) <= tuning.zone_apart_s
+    # A receiver may find its first fix late
+    fits = _ZONES_S[0] <= -zone <= _ZONES_S[1] and abs(apart - zone) <= 60.0
     return zone if fits else None
 
 
@@ -127,21 +127,13 @@ def _created(video: Path) -> tuple[float, float] | None:
     """Creation time (seconds since 1970) and length (s) in the movie header of an MP4 or QuickTime file."""
     try:
         with regular(video, None).open("rb") as file:
-            size = file.seek(0, 2)
-            movie = next(boxes(file, b"moov", 0, size), None)
-            header = movie and next(boxes(file, b"mvhd", *movie), None)
-            if not header:
-                return None
-            file.seek(header[0])
-            data = file.read(32)
-            wide = data[0] == 1
-            created, _, scale, length = struct.unpack_from(">QQIQ" if wide else ">IIII", data, 4)
+            data = contents(file, (0, file.seek(0, 2)), (b"moov", b"mvhd"), 32)
+            created, _, scale, length = struct.unpack_from(">QQIQ" if data[0] == 1 else ">IIII", data, 4)
     except (OSError, struct.error, IndexError):
         return None
     return created + _MP4_EPOCH_S, length / scale if scale else 0.0
 
 
-# --- DJI's subtitles --------------------------------------------------------------------------------------------------
 # The subtitles that DJI drones write beside their videos (``DJI_0001.SRT``): time and position of every frame.
 #
 # Two forms. Newer drones: a date with fractions of a second and ``[latitude: 41.42] [longitude: 2.23] [rel_alt: 1.3
@@ -182,11 +174,6 @@ class Subtitles:
         if np.isnan(self.start_s):
             return [f"{rows}, none has a date"]
         return [f"{rows}; the video begins at {date_text(self.start_s)} in the drone's own clock and zone"]
-
-
-def subtitles_of(video: Path) -> Path | None:
-    """The file of the same name that ends in .SRT, if there is one."""
-    return next((f for s in (".SRT", ".srt", ".Srt") if (f := video.with_suffix(s)).exists()), None)
 
 
 def read_subtitles(file: Path, receiver_sigma_m: float) -> Subtitles | None:

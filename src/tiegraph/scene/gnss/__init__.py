@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,6 @@ from tiegraph.scene.gnss.fixes import EMPTY, HEIGHTS_M, SIGMA_RANGE_M, Gnss, abo
 from tiegraph.scene.table import Table, table_of
 from tiegraph.scene.textfile import crs_above, decoded, filled_lines, parse_crs_line, say_axes, units_of, whole_file
 from tiegraph.scene.times import times_of
-from tiegraph.scene.tuning import GnssTuning
 
 if TYPE_CHECKING:
     import pyproj
@@ -59,10 +58,8 @@ def read_columns(path: Path, raw: bytes) -> Gnss:
     return _fixes(table, crs_above(lines, path))
 
 
-def is_geotxt(text: str, raw: bytes) -> bool:
-    """Whether the first line of a file that is no comment is a CRS."""
-    first = next((line for _, line in filled_lines(text) if not line.startswith("#")), "")
-    return bool(_CRS.match(first))
+def _stated(text: str) -> Iterator[tuple[int, str]]:
+    return ((n, line) for n, line in filled_lines(text) if not line.startswith("#"))
 
 
 def read_geotxt(path: Path, raw: bytes) -> Gnss:
@@ -71,7 +68,7 @@ def read_geotxt(path: Path, raw: bytes) -> Gnss:
     Raises InputError for an unknown CRS, a place outside it, no rows, and for a list of control points.
     """
     text, doubts = decoded(path, raw, "GNSS file")
-    (n, first), *lines = [(n, line) for n, line in filled_lines(text) if not line.startswith("#")]
+    (n, first), *lines = _stated(text)
     crs = parse_crs_line(first, f"{path}, line {n}")
     control = next((n for n, line in lines if _GCP.match(line)), None)
     if control is not None:
@@ -210,21 +207,21 @@ def _believed(
     return np.where(good, values, np.nan)
 
 
-FORMATS: dict[str, tuple[Callable[[str, bytes], bool], Callable[[Path, bytes], Gnss]]] = {
-    "GPX": (tracks.is_gpx, tracks.read_gpx),
-    "KML": (tracks.is_kml, tracks.read_kml),
-    "SBET": (solutions.is_sbet, solutions.read_sbet),
-    "RTKLIB": (solutions.is_rtklib, solutions.read_rtklib),
-    "DJI MRK": (solutions.is_mrk, solutions.read_mrk),
-    "ODM geo.txt": (is_geotxt, read_geotxt),
-    "NMEA 0183": (tracks.is_nmea, tracks.read_nmea),
+FORMATS: dict[str, tuple[Callable[[str, bytes], object], Callable[[Path, bytes], Gnss]]] = {
+    "GPX": (lambda text, raw: tracks.GPX.match(text), tracks.read_gpx),
+    "KML": (lambda text, raw: tracks.is_zip(raw) or tracks.KML.match(text), tracks.read_kml),
+    "SBET": (lambda text, raw: solutions.is_sbet(raw), solutions.read_sbet),
+    "RTKLIB": (lambda text, raw: solutions.RTKLIB.search(text), solutions.read_rtklib),
+    "DJI MRK": (lambda text, raw: solutions.MRK.match(text), solutions.read_mrk),
+    "ODM geo.txt": (lambda text, raw: _CRS.match(next(_stated(text), (0, ""))[1]), read_geotxt),
+    "NMEA 0183": (lambda text, raw: tracks.NMEA.search(raw), tracks.read_nmea),
     "CSV": (lambda text, raw: True, read_columns),
 }
 """For each format a test whether the first bytes of a file, as text and as bytes, are of it, and its reader.
 The first that fits is used."""
 
 
-def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
+def read_gnss(path: Path, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
     """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags``); ``heights_m``: range
     of plausible heights.
 
@@ -232,9 +229,9 @@ def read_gnss(path: Path, tuning: GnssTuning, heights_m: tuple[float, float] = H
     the file cannot be read, is damaged, or has no usable row.
     """
     if is_bag(Path(path)):
-        return judged(solutions.read_navsat(Path(path)), tuning, heights_m)
+        return judged(solutions.read_navsat(Path(path)), heights_m)
     raw = whole_file(Path(path), "give the GNSS file as a CSV file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
     read = next(read for told, read in FORMATS.values() if told(head, raw[:_HEAD]))
-    return judged(read(Path(path), raw), tuning, heights_m)
+    return judged(read(Path(path), raw), heights_m)

@@ -12,11 +12,12 @@ from tiegraph.geometry.geodesy import far_from_rest
 from tiegraph.geometry.transforms import interpolate, rigid
 from tiegraph.scene.table import some_lines
 from tiegraph.scene.times import DATED_S, in_time_order, laid_on
-from tiegraph.scene.tuning import GnssTuning
 
 # Limits of the values of a row:
 HEIGHTS_M = (-500.0, 9000.0)  # from the lowest shore to the highest mountain
 SIGMA_RANGE_M = (1e-4, 1000.0)  # below, no receiver; above, a receiver without a position
+VERTICAL = 2.0  # sigma of a height over the horizontal one: all satellites are above
+_MOST_FAR = 0.1  # largest share of positions that is left out as false
 EMPTY = ("", "nan", "none", "null")
 _NO_FIX = "position 0, 0"
 _ANGLES = ("latitude", "longitude", "height")
@@ -52,7 +53,7 @@ class Gnss:
         return replace(self, names=names, line=line, notes=(*self.notes, *notes), text=None, **columns)
 
 
-def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
+def judged(raw: Gnss, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
     """The usable rows in order; the others are noted with their lines.
 
     Left out are rows that are empty, out of range (heights: of ``heights_m``), without any accuracy, or (of rows with
@@ -72,14 +73,14 @@ def judged(raw: Gnss, tuning: GnssTuning, heights_m: tuple[float, float] = HEIGH
     made = raw.only(np.flatnonzero(good), *([] if good.all() else [f"{out}: {_first(raw, faults, heights_m)}"]))
     _refuse_radians(made)
     sigma = np.where(made.sigma_m >= SIGMA_RANGE_M[0], made.sigma_m, np.nan)
-    sigma[:, 2] = np.where(np.isnan(sigma[:, 2]), tuning.vertical * np.fmax(sigma[:, 0], sigma[:, 1]), sigma[:, 2])
+    sigma[:, 2] = np.where(np.isnan(sigma[:, 2]), VERTICAL * np.fmax(sigma[:, 0], sigma[:, 1]), sigma[:, 2])
     made = replace(made, sigma_m=sigma)
     if made.names:
         made = one_place_an_image(made)
     else:
         order, notes = in_time_order(made.time_s, made.line, made.path)
-        made = without_far(made.only(order, *notes), tuning.most_far)
-    stuck = stuck_note(made.lat_lon_height, name, tuning.stuck)
+        made = without_far(made.only(order, *notes))
+    stuck = stuck_note(made.lat_lon_height, name)
     return replace(made, notes=(*made.notes, stuck)) if stuck else made
 
 
@@ -153,10 +154,10 @@ def _refuse_radians(fixes: Gnss) -> None:
         )
 
 
-def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> tuple[np.ndarray, str]:
+def far_rows(lat_lon_height: np.ndarray, where: Sequence[str]) -> tuple[np.ndarray, str]:
     """(N,) which of some positions (N, 3) are not used, as they are far from the rest, and a note.
 
-    ``where`` names each position. They are used, but noted, if they are more than a share of ``most`` (of two, one):
+    ``where`` names each position. They are used, but noted, if they are many (of two, one):
     which are right is then undecided.
     """
     far, away = far_from_rest(lat_lon_height)
@@ -165,7 +166,7 @@ def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> t
     row = int(np.flatnonzero(far)[0])
     lat, lon, _ = lat_lon_height[row]
     note = f"{where[row]}: lat {lat:.6f}, lon {lon:.6f} lies {away[row] / 1000:.0f} km from most of the others"
-    if far.sum() > max(1, most * len(far)) or len(far) < 3:
+    if far.sum() > max(1, _MOST_FAR * len(far)) or len(far) < 3:
         note += f", as {far.sum()} of {len(far)} positions do: two surveys? Split them, or correct the positions"
         return np.zeros(len(far), bool), note
     return far, note + f": {far.sum()} of {len(far)} positions are not used; correct or remove them"
@@ -192,15 +193,15 @@ def one_place_an_image(gnss: Gnss) -> Gnss:
     return gnss.only(np.setdiff1d(np.arange(len(gnss.names)), again), note)
 
 
-def without_far(gnss: Gnss, most: float) -> Gnss:
+def without_far(gnss: Gnss) -> Gnss:
     """A file without positions far from the others, as in ``far_rows``."""
-    far, note = far_rows(gnss.lat_lon_height, [f"{gnss.path.name}, line {n}" for n in gnss.line], most)
+    far, note = far_rows(gnss.lat_lon_height, [f"{gnss.path.name}, line {n}" for n in gnss.line])
     return gnss.only(np.flatnonzero(~far), note) if note else gnss
 
 
-def stuck_note(lat_lon_height: np.ndarray, where: str, least: int) -> str:
-    """A note if some positions (N, 3), at least ``least``, are all the same; else ""."""
-    if len(lat_lon_height) < least or np.ptp(lat_lon_height, axis=0).max() > 0:
+def stuck_note(lat_lon_height: np.ndarray, where: str) -> str:
+    """A note if some positions (N, 3), at least three, are all the same; else ""."""
+    if len(lat_lon_height) < 3 or np.ptp(lat_lon_height, axis=0).max() > 0:
         return ""
     lat, lon, height = lat_lon_height[0]
     return (

@@ -33,7 +33,7 @@ from tiegraph.scene.textfile import decoded, text_lines
 from tiegraph.scene.times import GPS_EPOCH_S, WEEK_S, check_week, gps_note, utc_from_gps
 
 _HEADER = re.compile(r"%[ \t]*(GPST|UTC|JST)\b[ \t,;]+(latitude|x-ecef|e-baseline)")
-_ANY_HEADER = re.compile(rf"(?m)^[ \t]*{_HEADER.pattern}")
+RTKLIB = re.compile(rf"(?m)^[ \t]*{_HEADER.pattern}")
 _SPLIT = re.compile(r"[\s,;]+")
 _QUALITY = {1: "fixed", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP"}
 
@@ -50,11 +50,6 @@ class _Header:
     def find(self, *names: str) -> list[int]:
         """Columns by name; missing ones are left out."""
         return [self.columns.index(n) for n in names if n in self.columns]
-
-
-def is_rtklib(text: str, raw: bytes) -> bool:
-    """Whether the header of a solution is in the first lines of a file."""
-    return bool(_ANY_HEADER.search(text))
 
 
 def read_rtklib(path: Path, raw: bytes) -> Gnss:
@@ -181,7 +176,7 @@ _ENOUGH_S = 0.05  # between rows: the carrier of a camera leaves a straight line
 _STEP_S = 10.0  # between two records, at most; they are written some 200 times a second
 
 
-def is_sbet(text: str, raw: bytes) -> bool:
+def is_sbet(raw: bytes) -> bool:
     """Whether the first records of a file have times of a week and places on the Earth."""
     records = _records(raw[: 2 * _RECORD])
     if not len(records) or not np.isfinite(records).all():
@@ -222,15 +217,10 @@ def read_sbet(path: Path, raw: bytes) -> Gnss:
     return Gnss(path=path, line=line, lat_lon_height=llh, time_s=records[:, 0], notes=notes, period_s=WEEK_S)
 
 
-_START = re.compile(r"\s*(\d+)\s+\d+\.\d+\s+\[\d+\]")
+MRK = re.compile(r"\s*(\d+)\s+\d+\.\d+\s+\[\d+\]")
 _NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _THREE = r"\s*,\s*".join([_NUMBER] * 3)
 _PLACE = re.compile(rf"{_NUMBER}\s*,\s*Lat\s+{_NUMBER}\s*,\s*Lon\s+{_NUMBER}\s*,\s*Ellh\s+{_THREE}\s+(\d+)\s*,\s*Q")
-
-
-def is_mrk(text: str, raw: bytes) -> bool:
-    """Whether a file begins with a row of Timestamp.MRK."""
-    return bool(_START.match(text))
 
 
 def read_mrk(path: Path, raw: bytes) -> Gnss:
@@ -243,7 +233,7 @@ def read_mrk(path: Path, raw: bytes) -> Gnss:
     lines = [(n, line) for n, line in enumerate(text_lines(text), start=1) if line.strip()]
     rows, flags = [], []
     for n, line in lines:
-        start, place = _START.match(line), _PLACE.search(line)
+        start, place = MRK.match(line), _PLACE.search(line)
         if start is None or place is None:
             raise InputError(
                 f"{path}, line {n}: {line.strip()!r:.80} is no row of a Timestamp.MRK: number, seconds, [week], N, E, "

@@ -24,7 +24,9 @@ from tiegraph.scene.gnss.fixes import Gnss, above_ellipsoid
 from tiegraph.scene.textfile import parse_xml
 from tiegraph.scene.times import DAY_S, going_on
 
-_TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
+# What the first bytes of a file contain
+GPX, KML = (re.compile(rf"(?s)\s*<(?:.*?<)?(?:\w+:)?{root}[\s>]") for root in ("gpx", "kml"))
+NMEA = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
 _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})?\s*$")
 _FIXES = {"1": "single", "2": "differential", "3": "PPS", "4": "RTK fixed", "5": "RTK float", "6": "dead reckoning",
           "7": "manual", "8": "simulated"}  # fmt: skip
@@ -47,11 +49,6 @@ class _Log:
         second, midnight = _second(time), seconds_of(day, "%d%m%Y")
         if second == second and midnight == midnight:
             self.dates.append((len(self.rows), second, midnight))
-
-
-def is_nmea(text: str, raw: bytes) -> bool:
-    """Whether sentences of positions are in the first bytes of a file."""
-    return bool(_TOLD.search(raw))
 
 
 def read_nmea(path: Path, raw: bytes) -> Gnss:
@@ -190,18 +187,9 @@ def _second(text: str) -> float:
 _IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
 
 
-def is_gpx(text: str, raw: bytes) -> bool:
-    """Whether the first bytes of a file are those of GPX."""
-    return text.lstrip().startswith("<") and bool(re.search(r"<(?:\w+:)?gpx[\s>]", text))
-
-
-def is_kml(text: str, raw: bytes) -> bool:
-    """Whether the first bytes of a file are those of KML, or of a KMZ."""
-    return _is_kmz(raw) or (text.lstrip().startswith("<") and bool(re.search(r"<(?:\w+:)?kml[\s>]", text)))
-
-
-def _is_kmz(raw: bytes) -> bool:
-    return raw.startswith(b"PK\x03\x04")  # a ZIP archive; no other format here is one
+def is_zip(raw: bytes) -> bool:
+    """Whether the first bytes of a file are those of a ZIP archive: of the formats here, of a KMZ."""
+    return raw.startswith(b"PK\x03\x04")
 
 
 def _unpacked(path: Path, raw: bytes) -> bytes:
@@ -253,7 +241,7 @@ def read_kml(path: Path, raw: bytes) -> Gnss:
     Raises InputError for damaged XML or KMZ, heights above the ground, a track of other times than places, and if
     there is neither.
     """
-    root = parse_xml(path, _unpacked(path, raw) if _is_kmz(raw) else raw)
+    root = parse_xml(path, _unpacked(path, raw) if is_zip(raw) else raw)
     for mode in root.all("altitudeMode"):
         if mode.text.strip() == "relativeToGround":
             raise InputError(

@@ -3,7 +3,6 @@
 from pydantic import Field
 
 from tiegraph.geometry.gravity import UpTuning
-from tiegraph.scene.tuning import TrendTuning
 from tiegraph.settings import Section
 
 
@@ -186,6 +185,5 @@ class WorldTuning(Section):
     fit: FitTuning = Field(default_factory=FitTuning)
     sources: SourceTuning = Field(default_factory=SourceTuning)
     similarity_fit: SimilarityFitTuning = Field(default_factory=SimilarityFitTuning)
-    trend: TrendTuning = Field(default_factory=TrendTuning)
     statements: StatementTuning = Field(default_factory=StatementTuning)
     adjustment: AdjustmentTuning = Field(default_factory=AdjustmentTuning)

@@ -164,7 +164,7 @@ def _trend(
     anywhere = placing.weighed.free_antenna and not placing.fit.antenna.any()  # on the vehicle
     out = []
     for axis, values, each in series:
-        form = trend(values, tuning.trend, len(series), offset=axis == _ALONG, sigma=each)
+        form = trend(values, len(series), offset=axis == _ALONG, sigma=each)
         if form is None or (scale_said and form.form == "line"):
             continue
         stated = form.size / 2 / form.sigmas

@@ -243,6 +243,6 @@ def _own_trend(measured: Measured, evidence: Evidence, fixes: Fixes, source: Sou
     """A trend in the residuals of positions to their own fit that exceeds their stated errors."""
     order = measured.time_order(fixes)
     residual, sigma = source.residual[order], evidence.sigma[: len(fixes)][order]
-    found = [trend(residual[:, k], measured.tuning.trend, 3, sigma=sigma[:, k]) for k in range(3)]
+    found = [trend(residual[:, k], 3, sigma=sigma[:, k]) for k in range(3)]
     beyond = [t for t in found if t is not None and t.sigmas > TWO_ENDS]
     return max(beyond, key=lambda t: t.size) if beyond else None
