@@ -17,24 +17,11 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import png
-from tiegraph.scene.rig import pixel_rays
+from tiegraph.scene.rig import Sensor, pixel_rays
 from tiegraph.scene.targets import CENTRE
 from tiegraph.text import csv_text, one_line
 
 _GRID = 21  # rays along each side of an image
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """One camera: COLMAP's, sensor_from_rig (4, 4), None = unknown; sigmas of the focal length (px), of each axis of
-    the turn (degrees) and each coordinate of the place (m), None = not said."""
-
-    name: str
-    camera: pycolmap.Camera | None
-    sensor_from_rig: np.ndarray | None = None
-    focal_sigma_px: float | None = None
-    sigma_deg: float | None = None
-    sigma_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +48,7 @@ class Difference:
         return max(told, default=float("nan"))
 
 
-def differences(first: Sequence[Calibration], second: Sequence[Calibration]) -> tuple[Difference, ...]:
+def differences(first: Sequence[Sensor], second: Sequence[Sensor]) -> tuple[Difference, ...]:
     """Of the cameras that both have, by name, in the order of the first. Raises InputError if there is none, or if a
     camera has images of another shape."""
     of = {c.name: c for c in second}
@@ -74,7 +61,7 @@ def differences(first: Sequence[Calibration], second: Sequence[Calibration]) -> 
     return tuple(_difference(a, b, both[0]) for a, b in both)
 
 
-def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibration]) -> Difference:
+def _difference(a: Sensor, b: Sensor, base: tuple[Sensor, Sensor]) -> Difference:
     focal = lens = focal_sigmas = turn = place = turn_sigmas = place_sigmas = float("nan")
     if a.camera is not None and b.camera is not None:
         like, other = a.camera, copy.copy(b.camera)
@@ -87,7 +74,7 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
             other.rescale(like.width, like.height)
         focal = other.mean_focal_length() / a.camera.mean_focal_length() - 1
         lens = _lens_px(a.camera, other)
-        sigma = _both(a.focal_sigma_px, b.focal_sigma_px)
+        sigma = _both(a.camera_sigma_px, b.camera_sigma_px)
         if sigma:
             focal_sigmas = abs(focal) * a.camera.mean_focal_length() / sigma
     one, two = _from_first(a, base[0]), _from_first(b, base[1])
@@ -108,7 +95,7 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
     )
 
 
-def _from_first(camera: Calibration, first: Calibration) -> np.ndarray | None:
+def _from_first(camera: Sensor, first: Sensor) -> np.ndarray | None:
     if camera.sensor_from_rig is None or first.sensor_from_rig is None:
         return None
     return np.asarray(camera.sensor_from_rig @ transforms.invert(first.sensor_from_rig))
@@ -265,7 +252,6 @@ def residual_picture(done: Adjusted, camera: int) -> bytes:
     return png(figure)
 
 
-# --- calibrations for other programs ----------------------------------------------------------------------------------
 # Kalibr's camchain.yaml and OpenCV's YAML, the inverse of what ``scan`` reads. Both count pixels from the centre of the
 # first one, and hold fewer lenses than COLMAP: polynomials of the radius with two tangential terms, and Kannala's of
 # the angle.

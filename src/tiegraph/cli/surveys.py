@@ -119,7 +119,7 @@ class Calibrate(Talk):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("rig.toml")
     """The rig file to write, with a folder of its name beside it; neither may be there."""
     tuning: Path | None = None
-    """A file with other constants: tables [tuning.calibrate] and [tuning.scan]."""
+    """A file with other constants: the table [tuning.scan]."""
     pool: str = "local"
     """Where corners are looked for: serial, local, local:<workers>."""
     settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = CalibrateSettings()

@@ -11,7 +11,6 @@ import tomli_w
 from pydantic import Field, ValidationError
 
 from tiegraph import papers
-from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.settings import DenseSettings, ShotsSettings
@@ -284,7 +283,6 @@ class VerbTunings(Tunings):
     """The constants of the stages, of which the verbs outside the pipeline use some, and the verbs' own: tables
     ``[tuning.<engine>]`` of the file ``--tuning``, for they have no run folder."""
 
-    calibrate: CalibrateTuning = Field(default_factory=CalibrateTuning)
     lidar: LidarTuning = Field(default_factory=LidarTuning)
     plan: PlanTuning = Field(default_factory=PlanTuning)
     stations: StationsTuning = Field(default_factory=StationsTuning)
@@ -311,7 +309,7 @@ def read_tunings(path: Path | None) -> VerbTunings:
     if path is None:
         return VerbTunings()
     if not path.exists():
-        raise SettingsError(f"--tuning {path}: not there; give a file with tables such as [tuning.calibrate]")
+        raise SettingsError(f"--tuning {path}: not there; give a file with tables such as [tuning.stations]")
     try:
         return _File.model_validate(read_file(path)).tuning
     except ValidationError as error:
