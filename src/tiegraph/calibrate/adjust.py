@@ -78,8 +78,7 @@ class Adjusted:
 
 
 def adjust_robustly(seen: Observations, start: State, board_sigma_m: float = 0.0) -> Adjusted:
-    """Adjust all, leave out views that contradict the others, and adjust the rest; with a sigma of the board's corners
-    these too, about where a flat board has them.
+    """Adjust all, leave out views that contradict the others, adjust the rest; with a sigma the board's corners too.
 
     Raises ReconstructionError if most of a camera's contradict.
     """
@@ -136,8 +135,7 @@ def _with_bent_board(seen: Observations, state: State, scale_px: float, sigma_m:
 
 
 def _doubtful(seen: Observations, state: State) -> dict[str, str]:
-    """The worst view of every instant, if it is off by much more than the others, with the reason: the rest of its
-    instant may fit without it."""
+    """The worst view of every instant, if off by much more than the others, and why: the rest may fit without it."""
     all_off = view_residuals(seen, state)
     usual = _sigma(all_off)
     limit = max(1.0, 10 * usual)  # pixels: taken at another instant, or the board read wrongly

@@ -252,8 +252,7 @@ def _tag_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
 
 @dataclass(frozen=True)
 class CameraImages:
-    """A camera by the folder of its images: name, folder ("" = all images), COLMAP's model, width and height in
-    pixels, number of images."""
+    """A camera by the folder of its images ("" = all): COLMAP's model, width and height in pixels, number of images."""
 
     name: str
     folder: str
@@ -264,8 +263,7 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class View:
-    """What a camera sees of the board at an instant (numbers of both): ``corners`` (K,) of the board at ``xy`` (K, 2),
-    COLMAP's pixels."""
+    """What a camera (number) sees of the board at an instant: ``corners`` (K,) at ``xy`` (K, 2), COLMAP's pixels."""
 
     camera: int
     instant: int

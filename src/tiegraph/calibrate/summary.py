@@ -49,8 +49,7 @@ class Difference:
 
 
 def differences(first: Sequence[Sensor], second: Sequence[Sensor]) -> tuple[Difference, ...]:
-    """Of the cameras that both have, by name, in the order of the first. Raises InputError if there is none, or if a
-    camera has images of another shape."""
+    """Of the cameras that both have, by name. Raises InputError if there is none, or images have another shape."""
     of = {c.name: c for c in second}
     both = [(a, of[a.name]) for a in first if a.name in of]
     if len(first) == len(second) == 1:

@@ -155,8 +155,7 @@ def _parsed(
     folder: tuple[str, str] = ("folder", ""),
     about: str = "",
 ) -> tuple[Path, Any, Settings]:
-    """The folder, the options (of class ``kind``), and the settings before with what the command line gave. Raises
-    SettingsError.
+    """The folder, the options (of class ``kind``), and the settings with what was given. Raises SettingsError.
 
     ``sections`` of the settings are taken and shown; ``folder``: its name and what it is; ``about`` the verb.
     """

@@ -228,9 +228,6 @@ def _alignment(
     return trajectory.sim3.alignment, how
 
 
-# --- references against what was predicted -------------------------------------------------------------------------
-
-
 _AXES = "xyz"
 
 
@@ -244,8 +241,7 @@ def against_poses(
 ) -> list[str]:
     """Sentences about reference poses (K) that the model contradicts by ``figures`` (``accuracy.pose_figures``).
 
-    ``metric``: the model's own scale is known; ``step_s``: the frames' interval, to say a lag in seconds;
-    ``registered``: share of the images that are.
+    ``metric``: the model's own scale is known; ``step_s``: between frames; ``registered``: share of the images.
     """
     by_key = {f.key: f for f in figures}
     whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")

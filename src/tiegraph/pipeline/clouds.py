@@ -109,9 +109,6 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
         yield folder
 
 
-# --- two surveys of one place --------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Epoch:
     """A run: its cloud in its own world, the place of that, and its accuracy."""
@@ -187,8 +184,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
 def m3c2_of(
     pair: Pair, scratch: Path, tuning: Tuning, depth_m: float | None = None, most: int | None = None
 ) -> Differences:
-    """The second cloud minus the first, at about ``most`` core points; ``scratch`` is an empty folder. Raises
-    InputError if they do not overlap."""
+    """The second cloud minus the first, at about ``most`` core points. Raises InputError if they do not overlap."""
     clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
     with told_of(pair.second.name):
         meeting(clouds)
@@ -330,8 +326,7 @@ def _two_largest(run: Run, scene: Scene) -> list[_Pass]:
 def _pair(
     run: Run, scene: Scene, passes: Sequence[_Pass], scratch: Path, settings: CloudSettings, mapper: Mapper
 ) -> Pair:
-    """The clouds of two passes, fused of their depth maps into ``scratch``. Raises ReconstructionError for empty
-    ones."""
+    """The clouds of two passes, fused of their depth maps. Raises ReconstructionError for empty ones."""
     clouds: list[PointSource] = []
     maps = Maps(partial(read_depth, folder=run.folder))
     for one in passes:

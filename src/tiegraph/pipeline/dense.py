@@ -77,8 +77,7 @@ def dense(run: Run) -> Outcome:
 
 
 def plan_of(run: Run) -> DensePlan:
-    """The pairs of images to match, by the model in the world; those of dependent cameras, which see none of
-    its points, within their frame."""
+    """The pairs of images to match, by the model in the world; those of dependent cameras within their frame."""
     settings, tuning, model = run.settings.dense, run.settings.tuning.dense, load_model(run.path("sparse", "world"))
     survey = whole(run)
     hanging = {survey.names[k] for k in np.flatnonzero(~carries(survey))}
@@ -140,8 +139,7 @@ def _known_pixels(name: str, folder: Path) -> int:
 
 
 def hand_over(run: Run, target: Path) -> int:
-    """The depth maps as a dense workspace of COLMAP below ``target``; their number. Raises InputError for a folder that
-    is not empty."""
+    """The depth maps as a dense workspace of COLMAP; their number. Raises InputError for a folder that is not empty."""
     must_be_empty(target)
     model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:

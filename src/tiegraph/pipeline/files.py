@@ -124,8 +124,7 @@ def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
 
 
 def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
-    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and its ``reach`` (N, 2); None
-    without one."""
+    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and ``reach`` (N, 2); or None."""
     path = folder / "coarse" / "model.npz"
     if not path.exists():
         return None
@@ -187,9 +186,6 @@ def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
 def read_mask(folder: Path, name: str) -> np.ndarray:
     """Mask (H, W) bool of an image, True = use."""
     return read_image(mask_path(folder, name)) > 0
-
-
-# --- the placement of the model in the world, read from the files of georef -----------------------------------------
 
 
 def world_origin(folder: Path) -> Origin | None:

@@ -190,9 +190,6 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 
-# --- accuracy of a run by its own prediction -------------------------------------------------------------------------
-
-
 _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}
 
 

@@ -153,14 +153,11 @@ def control_file(run: Run) -> GcpFile | None:
     return read_gcps(path, settings.tuning.scene.control, settings.georef.marks)
 
 
-# --- coded targets of a control point file -------------------------------------------------------------------------
-
-
 def target_marks(
     run: Run, scene: Scene, file: GcpFile, model: pycolmap.Reconstruction | None = None, most: int | None = None
 ) -> TargetMarks:
-    """Marks of the file's coded targets in the prepared images, ``most`` of them or all; by the cameras of a model
-    if there is one.
+    """Marks of the file's coded targets in the prepared images, ``most`` of them or all; by the cameras of a model if
+    there is one.
 
     Raises InputError if none of them is seen in any image, with the family that is, if there is one.
     """

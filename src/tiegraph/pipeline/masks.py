@@ -96,8 +96,7 @@ def masks(run: Run) -> Outcome:
 
 
 def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuning) -> None:
-    """Masks ``target``/<image>.png of all images of a scene by another source with default settings, one after
-    another."""
+    """Masks ``target``/<image>.png of all images of a scene by another source with default settings."""
     choose("mask source", source, {n: None for n in (*SOURCES, *papers.MASKS) if n not in _NEED_A_FILE})
     made = _source(source)
     settings = MasksSettings(source=source)  # type: ignore[arg-type]

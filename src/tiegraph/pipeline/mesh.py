@@ -275,9 +275,6 @@ def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
     return Outcome(counts, notes=tuple(notes))
 
 
-# --- `tiegraph export --to 3dtiles`: levels of detail of the finished mesh ---
-
-
 def write_mesh_tiles(run: Run, place: Place, target: Path) -> None:
     """Write the mesh of a run as tiles that replace each other, with their tree, into a new folder."""
     with reading(run.path(FOLDER, "mesh.glb")):

@@ -135,9 +135,6 @@ def _propagate(
     )
 
 
-# --- the cameras ----------------------------------------------------------------------------------------------------
-
-
 def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
     """The cameras of the rig. Raises InputError if their size, lens or pose is not known."""
     size, focal = request.image_size(), request.focal_length_px()
@@ -181,9 +178,6 @@ def _camera(
     return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera)[0]
 
 
-# --- the page -------------------------------------------------------------------------------------------------------
-
-
 def _page(made: Plan) -> str:
     """The path in 3-D, in the viewer of the report."""
     assert made.path is not None
@@ -198,9 +192,6 @@ def _page(made: Plan) -> str:
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))
-
-
-# --- what a run will need before it begins -------------------------------------------------------------------------
 
 
 _GB = 1e9

@@ -166,8 +166,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
     """The folder of images, the user's own or of the pictures taken from the videos and bags in it; notes on their
     origin; and cameras by the folder below it whose images they took.
 
-    Raises InputError if the start times of a rig's videos are undecided, if there are fewer than two pictures in total,
-    and for bags as ``bag_films`` does.
+    Raises InputError if start times of a rig's videos are undecided, for fewer than two pictures, and as ``bag_films``.
     """
     images, asked = split_topics(run.inputs.images)
     found = [images / v for v in find_videos(images)] if images.is_dir() and not asked else []

@@ -308,8 +308,7 @@ class _ServeHandler(Handler):
         self._json({"new": new})
 
     def do_POST(self) -> None:
-        """Start ({"options": {...}, "until": stage or null}) or stop the run: the state that follows; or show the
-        cloud: where that is."""
+        """Start ({"options": {...}, "until": stage or null}) or stop the run: the state; or show the cloud: where."""
         path = self._asked("application/json")
         length = self.headers.get("Content-Length", "")
         if path is None:

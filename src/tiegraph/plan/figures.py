@@ -10,8 +10,8 @@ from tiegraph.plan.tuning import EffortTuning, StationTuning
 
 @dataclass(frozen=True)
 class Lens:
-    """The camera that the closed forms are about: focal length and image size, pixels; which side runs along the
-    motion (0 = the width, 1 = the height)."""
+    """The camera that the closed forms are about: focal length and image size, pixels; which side runs along the motion
+    (0 = the width, 1 = the height)."""
 
     focal_px: float
     size: tuple[int, int]
@@ -168,9 +168,6 @@ def advice(made: Station, lens: Lens, wanted: Wanted) -> list[str]:
             f"{1000 * made.exposure_s:.2g} ms at most"
         )
     return out
-
-
-# --- what a survey costs -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -205,9 +205,6 @@ def _mounted(c: Course) -> np.ndarray:
     return np.asarray(Rotation.from_euler("YX", c.turned_deg, degrees=True).as_matrix())
 
 
-# --- waypoints -----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Anchor:
     """Where the start of the path is on the Earth, and the heading of its first way, degrees clockwise from north."""

@@ -102,8 +102,7 @@ class DaskExecutor(Executor):
     def share(self, data: Any) -> Any:
         """Stands for ``data`` as an argument of ``submit``; large data goes to each worker once.
 
-        ``data`` = (function, args) of items: the function ends its chunk when the run has ended, and its name is shown
-        on Dask's dashboard.
+        ``data`` = (function, args) of items: its name is shown on Dask's dashboard.
         """
         function, args = data
         named = function
@@ -281,9 +280,6 @@ class DaskExecutor(Executor):
             return f"pool dask:{self._address}: workers ended at the same item, most likely for lack of memory: {error}"
         why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         return f"pool dask:{self._address}: the connection to the scheduler was lost ({why}); {_GOES_ON}"
-
-
-# --- the cluster before it works for a run -------------------------------------------------------------------------
 
 
 def connect(address: str) -> Any:

@@ -208,9 +208,6 @@ def _rig_stamp(rig: Path, stamps: Stamps) -> Any:
     return [stamps.now(rig), *(stamps.now(rig.parent / n) for n in named)] if named else stamps.now(rig)
 
 
-# --- the user's paths must exist before anything runs ----------------------------------------------------------------
-
-
 _SHORT = {"--georef.gcp": "--gcp", "--georef.marks": "--marks"}  # their short names on the command line
 
 

@@ -68,9 +68,8 @@ SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks"), "tolerance
 
 
 class Tunings(Section):
-    """The constants of the engines, and ``scene``, which they share: tables ``[tuning.<engine>]`` of
-    tiegraph.toml. They are the same for every user, so the command line does not show them; they can be changed for
-    measurements."""
+    """The constants of the engines, and ``scene``, which they share: tables ``[tuning.<engine>]`` of tiegraph.toml. The
+    same for every user, so the command line does not show them."""
 
     scene: SceneTuning = Field(default_factory=SceneTuning)
     scan: ScanTuning = Field(default_factory=ScanTuning)

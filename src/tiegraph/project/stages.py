@@ -115,8 +115,7 @@ def stage_keys(
 ) -> dict[str, str]:
     """The key of every stage, over its parts and the keys of what it needs.
 
-    The place of the sources (``PLACE``) counts only for the stages that need no other: these are made again for it, and
-    their results are the same.
+    The place of the sources (``PLACE``) counts only for stages that need no other, whose results it does not change.
     """
     keys: dict[str, str] = {}
     for stage in stages:
@@ -238,8 +237,7 @@ def trouble(path: Path, entry: list, thorough: bool = False) -> str:
 
 
 def digest_of(ledger: Ledger, tops: Iterable[str]) -> str:
-    """16 hex digits over names and contents of the files at or below ``tops``, not over times and places: the target of
-    a link counts in the key of its stage."""
+    """16 hex digits over names and contents of the files at or below ``tops``, not over times and targets of links."""
     tops = tuple(tops)
     rows = [[n, *(e[:1] if e[:1] == ["link"] else e[-1:])] for n, e in sorted(ledger.items()) if covered(n, tops)]
     return hashlib.blake2b(json.dumps(rows).encode(), digest_size=8).hexdigest()

@@ -54,8 +54,7 @@ def client_page(run: RunFolder, settings: ReportSettings, seen: Scenery | None, 
 
 
 def worst(verdict: Verdict) -> list[str]:
-    """The worst problems, the worst first: contradictions come before warnings, which are ranked already; [] if the
-    run found nothing wrong."""
+    """The worst problems, the worst first: contradictions come before warnings, which are ranked already."""
     return [*verdict.contradictions, *verdict.warnings][:3]
 
 
@@ -98,8 +97,8 @@ def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
 
 
 def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
-    """First and last exposure (ISO 8601, in UTC, or without a zone if none is known; None if the clock has no date)
-    and the seconds between them."""
+    """First and last exposure (ISO 8601, in UTC, or without a zone if none is known; None if the clock has no date) and
+    the seconds between them."""
     known = run.scene.time_s[np.isfinite(run.scene.time_s)] if run.scene is not None else np.zeros(0)
     if not len(known):
         return None, None, None
@@ -126,9 +125,6 @@ def when(run: RunFolder) -> list[tuple[str, str]]:
         taken = t("not known: the images carry no times")
     finished = [str(r["finished"]) for s, r in run.receipts.items() if r.get("finished") and s != "report"]
     return [(t("images taken"), taken), *([(t("processed"), max(finished)[:10])] if finished else [])]
-
-
-# --- for programs ---------------------------------------------------------------------------------------------------
 
 
 def schema() -> dict[str, Any]:

@@ -76,11 +76,9 @@ _WORDS = {
 
 
 def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
-    """Write ``folder/report.html`` and ``report.json`` from the contents of the folder; stages that have not run are
-    left out.
+    """Write ``folder/report.html`` and ``report.json`` from its contents; stages that have not run are left out.
 
-    ``planned``: planned and reached values. Raises InputError if the folder contains no run, TiegraphError
-    if the disk is full.
+    ``planned``: planned and reached values. Raises InputError if the folder contains no run or the disk is full.
     """
     run = read_run(folder, VIEW_POINTS)
     target = folder / "report.html"

@@ -44,8 +44,7 @@ _OVERLAP = ((2, "#c8442b"), (3, "#e69f00"), (4, "#f0e08c"), (6, "#7fb8d0"), (10,
 
 @dataclass(frozen=True)
 class Track:
-    """A pass on the map: name, positions (T, 3) of its frames in order (NaN = not registered), and the probable
-    positions of the missing ones (M, 3)."""
+    """A pass: positions (T, 3) of its frames in order (NaN = not registered), probable ones (M, 3) of the missing."""
 
     name: str
     positions: np.ndarray
@@ -102,8 +101,8 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Common data of all maps and views, upright: passes, given positions (K, 3), points (N, 3) with colours, and
-    how many images see each (0 = not known)."""
+    """Common data of all maps and views, upright: passes, given positions (K, 3), points (N, 3) with colours, and how
+    many images see each (0 = not known)."""
 
     tracks: list[Track]
     xyz: np.ndarray
@@ -146,8 +145,7 @@ def scenery(run: RunFolder) -> Scenery | None:
 
 
 def _place_of(seen: "Scenery") -> Place:
-    """The passes, their surroundings, and most of the surface that they survey, if it is near; neither too tall nor too
-    flat."""
+    """The passes, their surroundings, and most of the surface if it is near; neither too tall nor too flat."""
     way = np.concatenate([np.zeros((0, 3)), *(at for track in seen.tracks for at in (track.seen, track.missing))])
     way = (way if len(way) else seen.given if len(seen.given) else np.zeros((1, 3)))[:, :2]
     low, high = way.min(axis=0), way.max(axis=0)
@@ -233,8 +231,7 @@ def _drawn(seen: Scenery, uri: str, key: Sequence[tuple[str, str]], label: str, 
 
 
 def _raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int) -> str:
-    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI, transparent elsewhere; the last point of
-    a pixel is visible."""
+    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI; the last point of a pixel is visible."""
     inside, cell, size = _cells_of(place, xy, pixels)
     out = np.zeros((size[1] * size[0], 4), np.uint8)
     out[cell] = np.column_stack([rgb[inside], np.full(len(cell), 255)])

@@ -53,8 +53,7 @@ def tied(pairs: Pairs) -> Pairs:
 def _matrix(
     pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str], key: Sequence[tuple[str, str]], label: str
 ) -> Markup:
-    """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k; of those on one pixel the
-    highest rank is visible."""
+    """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k, the highest on top."""
     n = max(len(scene), 1)
     order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
     labels = scene.image_label()
@@ -125,9 +124,6 @@ def degrees(pairs: Pairs, images: int) -> Markup:
 def ties(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) verified, or else planned, pairs of each image."""
     return tied(pairs).degree(images)
-
-
-# --- the part of the page ------------------------------------------------------------------------------------------
 
 
 _NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")

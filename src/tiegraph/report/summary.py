@@ -239,9 +239,6 @@ def georeference_sentences(world: dict[str, Any]) -> list[str]:
     return out
 
 
-# --- warnings, and every image --------------------------------------------------------------------------------------
-
-
 _WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
 
 

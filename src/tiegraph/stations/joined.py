@@ -106,8 +106,7 @@ def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
 
 
 def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None]) -> list[Pair]:
-    """Pairs of stations by their known poses where both have one, else by their shapes: all, or of many stations those
-    that look alike or follow each other."""
+    """Pairs by known poses where both have one, else by shapes: all, or of many stations those alike or following."""
     asked = list(combinations(range(len(stations)), 2))
     if len(stations) > tuning.all_pairs:
         usual = np.array([s.shape.described.mean(axis=0) for s in stations])
@@ -193,9 +192,6 @@ def _laid_on_known(stations: Sequence[Station], part: Part) -> np.ndarray:
     turn = Rotation.from_matrix([m[:3, :3] for m in single]).mean().as_matrix()
     places = [(pose[:3, 3], part.poses[k, :3, 3]) for k, pose in known.items() if pose is not None]
     return transforms.rigid(turn, np.mean([there - turn @ here for there, here in places], axis=0))
-
-
-# --- precision by distance, of surfaces that several clouds saw -------------------------------------------------------
 
 
 @dataclass(frozen=True)

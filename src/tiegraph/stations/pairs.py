@@ -168,9 +168,6 @@ def spacing_of(xyz: np.ndarray, from_origin: bool) -> np.ndarray:
     return np.interp(away, middle, [float(np.median(third[p])) for p in parts])
 
 
-# --- two stations ----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Met:
     """Points of one level that lie on the surface of another: rows of the source and the target (M,), residuals (M,)
@@ -233,8 +230,7 @@ def held(target: Level, source: Level, fit: np.ndarray, found: Met) -> tuple[np.
     """How well the surfaces hold a fit: middle (3,) of the overlap in the target's frame, information (6, 6) of turn
     (rad) and shift (m) about it, and smallest over largest eigenvalue of the equations, all unknowns in metres.
 
-    By the equations of points against planes; points of a sixth of the longest side err together (a sandwich of
-    clusters).
+    By the equations of points against planes; those of a sixth of the longest side err together.
     """
     xyz = transforms.apply(fit, source.xyz[found.source])
     normal = target.normal[found.target]

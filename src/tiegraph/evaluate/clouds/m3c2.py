@@ -41,8 +41,8 @@ class Cylinders:
 
 
 def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None = None) -> Cylinders:
-    """Cylinders that fit the spacing of the thinner cloud. Raises ValueError for a depth that does not fit
-    them, and for clouds without a spacing."""
+    """Cylinders that fit the spacing of the thinner cloud. Raises ValueError for a depth that does not fit them, and
+    for clouds without a spacing."""
     spacing = float(np.max(clouds.spacing_m))  # NaN of one point stays
     if not 0 < spacing < np.inf:
         raise ValueError("half of the points of a cloud stand in one place, or it has only one: no surface")

@@ -123,8 +123,7 @@ class CloudComparison:
     judged: Path  # file of the points judged
 
     def points(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """The cloud's points that were judged, part by part: (N, 3) and their distances (N,) (NaN: further than looked
-        for)."""
+        """The cloud's judged points, part by part: (N, 3) and their distances (N,) (NaN: further than looked for)."""
         count = self.judged.stat().st_size // _JUDGED.itemsize
         for start in range(0, count, _PART):
             rows = np.fromfile(self.judged, _JUDGED, min(_PART, count - start), offset=start * _JUDGED.itemsize)

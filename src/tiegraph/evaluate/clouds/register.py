@@ -134,8 +134,7 @@ def _equations(
     middle: np.ndarray,
     unit: np.ndarray,
 ) -> _Equations:
-    """Pair points (N, 3) with the nearest planes (points and normals) of the reference, and set up the equations of the
-    next step."""
+    """Pair points (N, 3) with the nearest planes (points, normals) of the reference; the equations of the next step."""
     tree, normal = planes
     away, at = tree.query(xyz, distance_upper_bound=reach, workers=-1)
     met = np.isfinite(away)
