@@ -234,7 +234,6 @@ def _find_aprilgrid(pixels: np.ndarray, board: Board) -> Corners:
 
 
 def _nearest(xy: np.ndarray) -> float:
-    """Smallest distance between two corners (K, 2)."""
     return float(cKDTree(xy).query(xy, 2)[0][:, 1].min())
 
 

@@ -185,7 +185,6 @@ CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
 
 
 def _survey(run: Run) -> Survey:
-    """The survey with the images and cameras of the run."""
     ties = []
     if run.path("filter.npz").exists():
         pairs, names = pairs_of(run, "filter.npz").kept(), checked(run).names
@@ -201,7 +200,6 @@ def _survey(run: Run) -> Survey:
 
 
 def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -> Survey:
-    """Write images, masks and depth maps; the survey with their cameras and names."""
     model, lens = survey.model, exporter.lens
     assert lens is not None
     own = {key: CameraModel.of(camera) for key, camera in model.cameras.items()}

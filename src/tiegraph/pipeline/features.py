@@ -141,7 +141,6 @@ def _to_arrays(made: dict[tuple[int, int], PreviewMatch]) -> dict[str, np.ndarra
 
 
 def _from_arrays(data: dict[str, np.ndarray]) -> dict[tuple[int, int], PreviewMatch]:
-    """Inverse of ``_to_arrays``."""
     matches = np.split(data["matches"], data["ends"][:-1])
     out = {}
     for k, (i, j) in enumerate(data["pairs"].tolist()):

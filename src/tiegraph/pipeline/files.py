@@ -7,6 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -181,6 +182,12 @@ def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
     if image is None:
         raise UnreadableArtefact(path, "it is no image now")
     return image
+
+
+@lru_cache(maxsize=6)
+def read_colours(path: Path) -> np.ndarray:
+    """Pixels (H, W, 3) of an image, BGR; the last ones are kept, for a page asks for parts of one."""
+    return read_image(path, cv2.IMREAD_COLOR)
 
 
 def read_mask(folder: Path, name: str) -> np.ndarray:

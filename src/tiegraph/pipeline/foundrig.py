@@ -39,7 +39,6 @@ from tiegraph.sfm.settings import SparseSettings
 from tiegraph.text import command
 
 TOML, CONFIG = "rig", "rig_config"
-_DIGITS = 3  # of a sigma
 
 
 @dataclass(frozen=True)
@@ -237,7 +236,6 @@ def rig_of_run(rig: str | None) -> RigFile | None:
 
 
 def _found(run: FoundRun, index: int) -> Rig:
-    """A rig with the cameras, poses and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
     reference = sensor_id(1 + run.scene.first_sensor(index))
@@ -270,7 +268,6 @@ def _found(run: FoundRun, index: int) -> Rig:
 
 
 def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
-    """The sensors of a rig with the cameras of the model."""
     settings = SparseSettings(refine_intrinsics=run.receipt.get("settings", {}).get("refine_intrinsics", "auto"))
     held = believed_cameras(run.scene, settings)
     first = 1 + run.scene.first_sensor(index)
@@ -353,11 +350,7 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
                 trusted = run.tuning.sfm.rig
                 sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
                 sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
-        sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
+        sensors.append(replace(sensor, sigma_deg=float(f"{sigma_deg:.3g}"), sigma_m=float(f"{sigma_m:.3g}")))
     if kept:
         run.said.append(f"{found.name}: {', '.join(kept)} as given: too few ties determine the pose in the rig")
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")

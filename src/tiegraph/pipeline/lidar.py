@@ -303,7 +303,6 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
 
 
 def _hand_eye_table(found: HandEye) -> dict[str, Any]:
-    """Value and sigma of each parameter."""
     place = found.rig_from_lidar[:3, 3]
     rows = [["clock offset [s]", found.clock_s, found.clock_sigma_s]]
     rows += [[f"lever arm {a} [m]", v, s] for a, v, s in zip("xyz", place, found.place_sigma_m)]

@@ -269,7 +269,6 @@ def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[
 
 
 def _patch(map_: MapFiles, name: str, window: Window, step: int) -> Patch:
-    """A raster and its sigma in a window, in the world."""
     w, spread = (map_.read(n, window, step).astype(float) for n in (name, _sigma(name)))
     corner = map_.corner + np.array([window.column, -window.row]) * map_.pixel - map_.shift[:2]
     return Patch(w - map_.shift[2], spread, corner=corner, pixel=map_.pixel * step)

@@ -206,7 +206,6 @@ class _Work:
 
 
 def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
-    """Write the files of a mesh whose textures are there."""
     whole = work.mesh()
     place, texture = places(whole, layout, work.views)
     coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])

@@ -150,7 +150,6 @@ def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tup
 
 
 def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_from_body: np.ndarray) -> None:
-    """The main segment as TUM, all of them with sigmas as CSV."""
     poses = path.world_from_rig @ rig_from_body
     timed = np.isfinite(scene.time_s[frames]).all()
     times = scene.time_s[frames] if timed else np.arange(len(frames), dtype=float)

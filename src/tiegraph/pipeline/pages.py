@@ -115,6 +115,14 @@ class Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.FORBIDDEN, "asked from elsewhere")
         return good
 
+    def _sent(self, most: int, wrong: str) -> bytes | None:
+        """What a request sends, up to so many bytes; None if that is refused as ``wrong``."""
+        length = self.headers.get("Content-Length", "")
+        if most and length.isdigit() and int(length) <= most:
+            return self.rfile.read(int(length))
+        self.close_connection = True
+        return self._refuse(HTTPStatus.BAD_REQUEST, wrong)
+
     def _json(self, data: Any) -> None:
         self._send(json.dumps(data, allow_nan=False).encode(), "application/json")
 
@@ -197,13 +205,11 @@ class _MarkHandler(Handler):
         """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
         if not self._allowed("application/json"):
             return
-        length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > 4096 or urlsplit(self.path).path != "/mark":  # bytes of a mark
-            self.close_connection = True
-            self._refuse(HTTPStatus.BAD_REQUEST, "not a mark")
+        sent = self._sent(4096 if urlsplit(self.path).path == "/mark" else 0, "not a mark")
+        if sent is None:
             return
         try:
-            data = json.loads(self.rfile.read(int(length)))
+            data = json.loads(sent)
             xy = None if data["xy"] is None else (float(data["xy"][0]), float(data["xy"][1]))
             with self.server.lock:
                 self.server.session.set(int(data["point"]), int(data["image"]), xy)

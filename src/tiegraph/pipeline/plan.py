@@ -179,7 +179,6 @@ def _camera(
 
 
 def _page(made: Plan) -> str:
-    """The path in 3-D, in the viewer of the report."""
     assert made.path is not None
     path, points = made.path.path, made.path.network.model.points3D.values()
     xyz = np.array([p.xyz for p in points])
@@ -192,9 +191,6 @@ def _page(made: Plan) -> str:
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))
-
-
-_GB = 1e9
 
 
 @dataclass(frozen=True)
@@ -255,4 +251,4 @@ def _size(folder: Path) -> int:
 
 
 def _gb(size: float) -> str:
-    return f"{size / _GB:.2g} GB"
+    return f"{size / 1e9:.2g} GB"

@@ -69,7 +69,7 @@ def scan(run: Run) -> Outcome:
         rig_text=None if known is None else known.text,
         camera=given.camera,
         gnss=given.gnss,
-        trajectory=None if given.trajectory == FOLLOW else given.trajectory,
+        trajectory=given.poses,
         start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != source_of(given.images),

@@ -127,7 +127,6 @@ def _way(c: Course, tuning: PathTuning) -> Path:
 
 
 def _facade(c: Course, tuning: PathTuning) -> Path:
-    """A wall, by rows to and fro."""
     wall = Facet(np.array([0, c.distance_m, 0]), np.array([[c.length_m, 0, 0], [0, 0, c.height_m]]))
     lines = [np.array([0, 0, z]) for z in _evenly(c.height_m, c.row_m)]
     return _rows(c, lines, _turn(np.array([0.0, 1.0, 0.0])), "row", wall)

@@ -111,7 +111,6 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features
 def _sweep(
     request: PlanRequest, lens: Lens, tuning: Tuning
 ) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
-    """Stations by the distances, for each base and overlap; advice."""
     images, said, groups = request.images, [], []
     bases, overlaps = numbers("base", images.base), numbers("overlap", images.overlap)
     for base, overlap in product(bases, overlaps):
@@ -321,7 +320,6 @@ def comparison(planned: Mapping[str, Any], reached: Mapping[str, float | None]) 
 
 
 def _sentence(planned: Mapping[str, Any], reached: Mapping[str, float | None]) -> str:
-    """Shape and place, in words."""
     parts = []
     for name, what in (("position_shape", "the shape of the path"), ("place_world", "its place in the world")):
         plan, run = (found.get(f"{name}_sigma_median_m") for found in (planned, reached))

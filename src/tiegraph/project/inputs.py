@@ -141,6 +141,11 @@ class Inputs:
     camera: str | None = None  # a calibration in words, or its file
     start: Path | None = None  # a start model
 
+    @property
+    def poses(self) -> Path | None:
+        """The trajectory's file or folder, if it is not to be made from the images."""
+        return None if self.trajectory == FOLLOW else self.trajectory
+
     def parts(self, stamps: Stamps) -> dict[str, Any]:
         """The stamp of each input, by the user's name for it: for files the names below the given path, sizes and
         times; None for inputs not given."""
@@ -180,9 +185,6 @@ class Inputs:
             raise InputError(f"{images}: no such folder; give the folder with the survey's images")
         if not images.is_dir() and not is_bag(images):
             raise InputError(f"{images} is a file; give the folder with the survey's images")
-        for option, path in self._files().items():
-            if path is not None and not source_of(path).exists():
-                raise InputError(f"{option} {path}: no such file or folder")
         if self.start is not None and self.trajectory is not None:
             raise InputError(
                 f"--start {self.start} and --trajectory {self.trajectory}: both give poses: omit one (if it is "
@@ -190,8 +192,7 @@ class Inputs:
             )
 
     def _files(self) -> dict[str, Path | None]:
-        trajectory = None if self.trajectory == FOLLOW else self.trajectory
-        files = {"--gnss": self.gnss, "--trajectory": trajectory, "--times": self.times, "--start": self.start}
+        files = {"--gnss": self.gnss, "--trajectory": self.poses, "--times": self.times, "--start": self.start}
         with suppress(InputError, OSError):  # of a project folder only the model is read; reading reports a missing one
             files["--start"] = None if self.start is None else find_start(self.start)[1]
         return files

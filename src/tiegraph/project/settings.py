@@ -273,7 +273,6 @@ def explain(error: Any, root: type[Section]) -> str:
 
 
 def _meant(name: str, known: Iterable[str], mark: str = "") -> str:
-    """The name that a wrong one probably means, else the known names."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"perhaps you meant {near[0]!r}{mark}" if near else f"known are {', '.join(known)}"
 

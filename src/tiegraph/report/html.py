@@ -263,7 +263,6 @@ def _model_facts(run: RunFolder, m: Model) -> list[tuple[str, str]]:
 
 
 def _lenses(model: Model) -> list[tuple[Markup, str]]:
-    """(chart, caption) of each camera's residuals over its image; all enlarged alike."""
     known = {k: lens for k, lens in model.lenses.items() if len(lens.at)}
     longest = {k: float(np.linalg.norm(lens.moved, axis=1).max()) for k, lens in known.items()}
     widest = max((lens.size[0] for lens in known.values()), default=0)

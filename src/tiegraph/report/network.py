@@ -181,7 +181,6 @@ def _title(stage: str) -> str:
 
 
 def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
-    """(data URI, caption) of the pictures of the network stage and the design."""
     found, order = [], list(_CAPTIONS)
     for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
         title = path.stem.replace("curve", "offset")

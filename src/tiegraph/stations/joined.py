@@ -101,7 +101,6 @@ def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
 
 
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
-    """Some points (N, 3) of each station, which say how far an error moves it."""
     return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // 200)] for s in stations]
 
 

@@ -369,6 +369,5 @@ def _share(looking: Station, other: Station, fit: np.ndarray) -> float:
 
 
 def _distances(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (N,) and directions (N, 3) of vectors (N, 3)."""
     length = np.linalg.norm(xyz, axis=1)
     return length, xyz / np.maximum(length, 1e-12)[:, None]

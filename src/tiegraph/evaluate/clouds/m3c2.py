@@ -204,7 +204,6 @@ def _pairs(centres: np.ndarray, tree: cKDTree, radius: float) -> tuple[np.ndarra
 
 
 def _facing(normal: np.ndarray, cores: np.ndarray, cameras: Cameras | None) -> np.ndarray:
-    """Normals turned to the nearest camera, else upwards."""
     if cameras is None:
         towards = np.broadcast_to(_OBLIQUE, cores.shape)
     else:
