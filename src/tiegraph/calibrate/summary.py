@@ -259,17 +259,9 @@ def residual_picture(done: Adjusted, camera: int) -> bytes:
 _RADTAN_TERMS = 4  # of Kalibr: k1 k2 p1 p2
 
 
-@dataclass(frozen=True)
-class Lens:
-    """A camera in OpenCV's terms: fx, fy, cx, cy, and k1 k2 p1 p2 [k3 k4 k5 k6], of a fisheye k1 k2 k3 k4."""
-
-    middle: tuple[float, ...]
-    terms: tuple[float, ...]
-    fisheye: bool
-
-
-def lens_of(camera: pycolmap.Camera) -> Lens | None:
-    """A camera in OpenCV's terms; None if its model has none."""
+def lens_of(camera: pycolmap.Camera) -> tuple[tuple[float, ...], tuple[float, ...], bool] | None:
+    """A camera in OpenCV's terms: fx, fy, cx, cy; k1 k2 p1 p2 [k3 k4 k5 k6], of a fisheye k1 k2 k3 k4; whether it is
+    one. None if its model has no such form."""
     focal = [camera.params[k] for k in camera.focal_length_idxs()]
     centre = (camera.principal_point_x - CENTRE, camera.principal_point_y - CENTRE)
     middle = tuple(float(v) for v in (focal[0], focal[-1], *centre))
@@ -279,7 +271,7 @@ def lens_of(camera: pycolmap.Camera) -> Lens | None:
     if camera.model.name not in radial | angular:
         return None
     terms += [0.0] * (_RADTAN_TERMS - len(terms))
-    return Lens(middle, tuple(terms), camera.model.name in angular)
+    return middle, tuple(terms), camera.model.name in angular
 
 
 def opencv_yaml(camera: pycolmap.Camera) -> str | None:
@@ -287,13 +279,13 @@ def opencv_yaml(camera: pycolmap.Camera) -> str | None:
     lens = lens_of(camera)
     if lens is None:
         return None
-    fx, fy, cx, cy = lens.middle
+    (fx, fy, cx, cy), terms, fisheye = lens
     storage = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", camera.width)
     storage.write("image_height", camera.height)
-    storage.write("fisheye_model", int(lens.fisheye))
+    storage.write("fisheye_model", int(fisheye))
     storage.write("camera_matrix", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
-    storage.write("distortion_coefficients", np.array(lens.terms)[:, None])
+    storage.write("distortion_coefficients", np.array(terms)[:, None])
     return str(storage.releaseAndGetString())
 
 
@@ -302,17 +294,18 @@ def kalibr_yaml(cameras: Sequence[pycolmap.Camera], sensor_from_rig: np.ndarray)
     lines: list[str] = []
     for number, camera in enumerate(cameras):
         lens = lens_of(camera)
-        if lens is None or len(lens.terms) > _RADTAN_TERMS:
+        if lens is None or len(lens[1]) > _RADTAN_TERMS:
             return None
+        middle, terms, fisheye = lens
         lines.append(f"cam{number}:")
         if number:
             chain = sensor_from_rig[number] @ invert(sensor_from_rig[number - 1])
             lines += ["  T_cn_cnm1:", *(f"  - {_list(row)}" for row in chain)]
         lines += [
             "  camera_model: pinhole",
-            f"  distortion_model: {'equidistant' if lens.fisheye else 'radtan'}",
-            f"  distortion_coeffs: {_list(lens.terms)}",
-            f"  intrinsics: {_list(lens.middle)}",
+            f"  distortion_model: {'equidistant' if fisheye else 'radtan'}",
+            f"  distortion_coeffs: {_list(terms)}",
+            f"  intrinsics: {_list(middle)}",
             f"  resolution: [{camera.width}, {camera.height}]",
         ]
     return "\n".join(lines) + "\n"

@@ -147,7 +147,7 @@ class Plan:
 
     request: Annotated[PlanRequest, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes] = PlanRequest()
     tuning: Path | None = None
-    """A file with other constants: tables [tuning.plan], [tuning.scan] and [tuning.sfm]."""
+    """A file with other constants: tables [tuning.scan] and [tuning.sfm]."""
     json: bool = False
     """One JSON object on standard output instead of tables."""
 

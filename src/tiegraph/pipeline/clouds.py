@@ -1,14 +1,10 @@
-"""Glue of comparisons of clouds: two files; two surveys of one place (`compare --epochs`), changes between them that
-exceed the uncertainty of both; two passes of one run (`compare --passes`), without any reference.
+"""Glue of comparisons of clouds: two files; two surveys of one place (`compare --epochs`); two passes of one run
+(`compare --passes`), each fused of the depth maps of its own images.
 
-The clouds of two passes are each fused of the depth maps of its own images. The comparison shows how well both passes
-agree: poses across the survey, and depth. It does not show errors common to both: the place and scale of the model, the
-cameras, and wrong matches in both; and a depth map of one pass may have been confirmed by images of the other. The
-stage ``cloud`` compares some depth maps for the report (``write_agreement``), `compare --passes` all of them.
-
-To keep the first cheap (5.7 CPU s on the example survey, 37 and 36 depth maps), the passes are not filtered, which
-M3C2 does not need (mean places in cylinders are hardly affected by 3 % of strays), their voxels are those of the cloud,
-and 5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
+The stage ``cloud`` compares some depth maps for the report. To keep that cheap (5.7 CPU s on the example survey, 37 and
+36 depth maps), the passes are not filtered, which M3C2 does not need (mean places in cylinders are hardly affected by
+3 % of strays), their voxels are those of the cloud, and 5000 core points are enough. Half of the depth maps would leave
+one of the example's sections without any.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -171,7 +167,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
     with new_folder(out) as folder, scratch_folder(folder) as scratch:
         assert folder is not None
         found = m3c2_of(pair, scratch, tuning, depth_m)
-        changed = changes(found, tuning.changes)
+        changed = changes(found)
         result = _result(found, changed, pair)
         save_json(folder / "changes.json", result)
         table = changed.table(shift_of(pair.origin), len(changed.listed))

@@ -111,12 +111,9 @@ def found_run(folder: Path) -> FoundRun:
     scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
     sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
     arm = told.get("antenna_m")
-    return replace(
-        run,
-        world=load_model(world),
-        metres=Metres(scale, sigma, told["scale_source"]),
-        antenna_m=None if arm is None else tuple(arm),
-    )
+    run.world, run.metres = load_model(world), Metres(scale, sigma, told["scale_source"])
+    run.antenna_m = None if arm is None else tuple(arm)
+    return run
 
 
 def _constants(folder: Path, receipts: Receipts) -> Tunings:

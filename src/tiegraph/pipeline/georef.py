@@ -181,6 +181,7 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 
+_CARRIER_M = 0.1  # positions stated to this are of a carrier phase (RTK, PPK): code alone gives a metre
 _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}
 
 
@@ -219,7 +220,7 @@ def _hold(run: Run, world: dict) -> Hold:
     rows = [row["frame"] for row in world["frames"] if row["inlier"]]
     source, stated_m = _SOURCES.get(scene.prior, "positions"), scene.position_sigma_m[rows]
     if scene.prior == "gnss" and np.isfinite(stated_m).any():
-        source += " of RTK quality" if np.nanmedian(stated_m) <= run.settings.tuning.evaluate.carrier_m else ""
+        source += " of RTK quality" if np.nanmedian(stated_m) <= _CARRIER_M else ""
     without = np.setdiff1d(np.arange(scene.frames), rows)
     bridges = [row["number"] for row in load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"]
     under = int(np.isin(scene.section[without], bridges).sum())

@@ -21,6 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.files import CLOUD
@@ -295,9 +296,5 @@ def _patch(pixels: np.ndarray, query: dict[str, str]) -> bytes:
     """``size`` square pixels from (left, top) of an image (H, W, 3) as PNG; black beyond it."""
     left, top = int(query["left"]), int(query["top"])
     size = min(max(int(query.get("size", _PATCH_PX)), 1), _MOST_PATCH_PX)
-    out = np.zeros((size, size, 3), np.uint8)
-    height, width = pixels.shape[:2]
-    y0, y1, x0, x1 = max(top, 0), min(top + size, height), max(left, 0), min(left + size, width)
-    if y0 < y1 and x0 < x1:
-        out[y0 - top : y1 - top, x0 - left : x1 - left] = pixels[y0:y1, x0:x1]
-    return cv2.imencode(".png", out)[1].tobytes()
+    cut = Image.fromarray(pixels).crop((left, top, left + size, top + size))
+    return cv2.imencode(".png", np.asarray(cut))[1].tobytes()

@@ -23,14 +23,10 @@ stored when a run starts, and restored if they are refused before a stage was fi
 nested. A task is a chunk of items; workers get paths and settings and write files themselves. Workers and child
 processes end with the process that started them, also after its SIGKILL. Ctrl-C, SIGTERM and SIGHUP end the run in one
 line (``cli.main``), a second one at once. A process that is lost is an error, ``ProcessLost``, that names its signal.
-With Dask (``daskpool``) the workers that exist at the start do the run, after each was checked (same versions;
-run folder and images under the same paths). Each makes one item at a time, and its threads go to the libraries. A
-lost worker ends the run with an error, and the next run continues it. Workers stop between two items when the run has
-ended, and a run begins only when they are free. Cached files of a worker are keyed by the file's stamp
+With Dask (``daskpool``) each worker is checked before it gets items (same versions; run folder and images under the
+same paths). It makes one item at a time, and its threads go to the libraries. Workers stop between two items when the
+run has ended, and a run begins only when they are free. Cached files of a worker are keyed by the file's stamp
 (``scene.atomic``). For SLURM (``queuepool``) the scheduler is in this process, and its workers are jobs.
-
-**Stores** (``stores``). Inputs that are URLs are copied beside the run folder before the first stage; from there on
-they are files. Only what has changed is copied, and nothing is ever removed or written over in a store.
 
 Output of native libraries to standard error goes to the log (``libraries_to``).
 """

@@ -1,11 +1,4 @@
-"""The artefacts of a run folder: which are up to date, which were lost or changed, and which files may be removed.
-
-A stage is up to date if its receipt has the same key, its sources are unchanged, and all its files are as
-it left them. Interrupted with the same key: finished items stay. Otherwise its files are removed, and only these:
-a file that is not on its list was not made by us and is refused; a file that was changed since is moved to
-``set_aside/``. A file unchanged since, or one that a stage was writing when it ended, contains no user data and is
-removed.
-"""
+"""The artefacts of a run folder: which are up to date, which were lost or changed, and which files may be removed."""
 
 import dataclasses
 import os

@@ -1,10 +1,7 @@
 """Items on the workers of a Dask cluster, as an ``Executor``.
 
-Each worker is checked before it gets items (``daskworker``): the same versions, the same folders. It makes one
-item at a time, whatever its number of threads; these go to the libraries. If a worker is lost, its chunk of items is
-given to another; the run ends only if none is left, or if a chunk has ended several workers. Workers that come later,
-restarted by Dask or by a queue, take part from the next stage on. Workers outlive a run, so they
-stop between two items when the run has ended, and a new run begins after that.
+If a worker is lost, its chunk of items is given to another; the run ends only if none is left, or if a chunk has ended
+several workers. Workers that come later, restarted by Dask or by a queue, take part from the next stage on.
 """
 
 import asyncio

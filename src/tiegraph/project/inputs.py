@@ -3,8 +3,6 @@
 A file counts by its size and time until a run has read it, then by its content: a copy of it, wherever it lies, or the
 same disk mounted again, has other times but is the same. A missing file or folder counts as it was when a run read
 it: finished work can be reported without the images.
-
-Inputs must exist before anything runs: one check for every option and setting that is a path.
 """
 
 import json
@@ -212,22 +210,15 @@ def _rig_stamp(rig: Path, stamps: Stamps) -> Any:
 _SHORT = {"--georef.gcp": "--gcp", "--georef.marks": "--marks"}  # their short names on the command line
 
 
-def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
-    """(option, path, kind) of every setting that names a file or folder of the user, if given."""
-    out = []
+def check_files(settings: Settings) -> None:
+    """Raise InputError for the first setting whose file or folder is missing, of another kind or not readable."""
     for section, fields in sections():
         for name, field in fields.items():
             kind = field.json_schema_extra.get("kind") if isinstance(field.json_schema_extra, dict) else None
             path = getattr(getattr(settings, section), name) if kind else None
+            option = f"--{section}.{name}".replace("_", "-")
             if path is not None:
-                out.append((f"--{section}.{name}".replace("_", "-"), path, str(kind)))
-    return out
-
-
-def check_files(settings: Settings) -> None:
-    """Raise InputError for the first setting whose file or folder is missing, of another kind or not readable."""
-    for option, path, kind in user_files(settings):
-        check_path(_SHORT.get(option, option), path, kind)
+                check_path(_SHORT.get(option, option), path, str(kind))
 
 
 def check_path(option: str, path: Path, kind: str) -> None:

@@ -32,7 +32,6 @@ from tiegraph.mesh.tuning import Tuning as MeshTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.odometry.tuning import Tuning as OdometryTuning
-from tiegraph.plan.tuning import Tuning as PlanTuning
 from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.tuning import Tuning as ProductsTuning
 from tiegraph.report.settings import ReportSettings
@@ -53,16 +52,8 @@ else:
     import tomli as tomllib
 
 _SHOWN = 80  # characters of a wrong value in a message
-RUN_KEYS = (
-    "images",
-    "rig",
-    "camera",
-    "gnss",
-    "trajectory",
-    "start",
-    "times",
-    "preset",
-)  # of [run]: the inputs of a run
+RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "start", "times", "preset")
+"""Of [run]: the inputs of a run."""
 SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks"), "tolerance": ("evaluate", "tolerance_m")}
 """Inputs that are settings of a stage, so that only what follows it runs again when they change."""
 
@@ -282,7 +273,6 @@ class VerbTunings(Tunings):
     ``[tuning.<engine>]`` of the file ``--tuning``, for they have no run folder."""
 
     lidar: LidarTuning = Field(default_factory=LidarTuning)
-    plan: PlanTuning = Field(default_factory=PlanTuning)
     stations: StationsTuning = Field(default_factory=StationsTuning)
     watch: WatchTuning = Field(default_factory=WatchTuning)
 

@@ -1,12 +1,7 @@
 """A stage turns artefacts into artefacts, and leaves a receipt when it is done (or began). Knows no photogrammetry.
 
-A stage's key is a hash over its name, its code version, its settings (files they name included) and the keys of the
-stages it needs: its sources, before anything is made. The parts of the key are in the receipt one by one, so that
-``status`` can name what changed.
-
-With the receipt are the versions that the result depends on, and the list of the files that the stage made: only these
-may be removed, and changed ones are recognised. A file counts by its size and content; its time only saves reading it
-again. A link counts by its target.
+The parts of a stage's key stand in its receipt one by one, so that ``status`` can name what changed. A file counts by
+its size and content; its time only saves reading it again. A link counts by its target.
 """
 
 import hashlib
@@ -153,7 +148,6 @@ def read_object(path: Path) -> dict | None:
 Ledger = dict[str, list]
 """Name below the run folder -> [size, time in ns, digest], ["link", target], or [] if not read yet."""
 
-SET_ASIDE = "set_aside"
 _THREADS = 4  # reading and hashing release the interpreter's lock
 
 
@@ -260,7 +254,7 @@ def put_aside(folder: Path, names: Sequence[str]) -> str:
     """Move files or folders to ``set_aside/<time>/``; the new place, "" if there are none."""
     if not names:
         return ""
-    place = f"{SET_ASIDE}/{datetime.now(timezone.utc):%Y%m%dT%H%M%S%f}"
+    place = f"set_aside/{datetime.now(timezone.utc):%Y%m%dT%H%M%S%f}"
     for name in names:
         target = folder / place / name
         target.parent.mkdir(parents=True, exist_ok=True)

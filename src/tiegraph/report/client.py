@@ -5,7 +5,6 @@ English, figures in metres."""
 import json
 from dataclasses import asdict
 from datetime import datetime, timezone
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -127,12 +126,6 @@ def when(run: RunFolder) -> list[tuple[str, str]]:
     return [(t("images taken"), taken), *([(t("processed"), max(finished)[:10])] if finished else [])]
 
 
-def schema() -> dict[str, Any]:
-    """The JSON schema (draft 2020-12) of report.json."""
-    text = files("tiegraph.report").joinpath("report.schema.json").read_text(encoding="utf-8")
-    return json.loads(text)  # type: ignore[no-any-return]
-
-
 def json_text(run: RunFolder, settings: ReportSettings) -> str:
     """The file as text."""
     return json.dumps(finite(_plain(content(run, settings))), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -174,8 +167,8 @@ def _counts(run: RunFolder) -> dict[str, Any]:
     return {
         "images": None if scene is None else len(scene) + run.hanging[0],
         "frames": None if scene is None else scene.frames,
-        "registered": None if m is None else int(m.registered.sum()),
-        "placed_by_rig": None if m is None else int(m.by_rig.sum()) + run.hanging[1],
+        "registered": None if m is None else int(m.images.registered.sum()),
+        "placed_by_rig": None if m is None else int(m.images.by_rig.sum()) + run.hanging[1],
         "models": 0 if m is None else 1 + len(m.others),
         "sparse_points": None if m is None else m.points,
         "cloud_points": None if c is None else c.count,

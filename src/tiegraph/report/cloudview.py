@@ -276,7 +276,7 @@ def viewer_part(run: RunFolder, seen: Scenery, most: int) -> dict[str, Any]:
 def _images(run: RunFolder, seen: Scenery) -> list[tuple[str, np.ndarray, str]]:
     """The images with their places, an even part of them with a small picture."""
     assert run.scene is not None and run.model is not None
-    placed = np.flatnonzero(run.model.placed)[:_IMAGES]
+    placed = np.flatnonzero(run.model.images.placed)[:_IMAGES]
     pictured = set(placed[np.linspace(0, len(placed) - 1, min(len(placed), _PICTURES)).astype(int)].tolist())
     out = []
     for at, k in zip(seen.path, placed):
@@ -330,7 +330,7 @@ def _nearest(at: np.ndarray, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def section_scale(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
     """The section that points (N, 3) lie in, that of the nearest camera; {} where there are not several."""
     assert run.scene is not None and run.model is not None
-    placed = np.flatnonzero(run.model.placed)
+    placed = np.flatnonzero(run.model.images.placed)
     numbers, of_camera = np.unique(run.scene.section[run.scene.frame[placed]], return_inverse=True)
     if len(numbers) < 2 or not len(xyz):
         return {}

@@ -127,7 +127,7 @@ def _sizes(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
 
 
 def _used(run: RunFolder) -> float:
-    return float(run.model.registered.sum()) if run.model is not None else np.nan
+    return float(run.model.images.registered.sum()) if run.model is not None else np.nan
 
 
 def _funnel(runs: Sequence[RunFolder]) -> dict[str, list[float]]:

@@ -115,12 +115,6 @@ def step_name(name: str) -> str:
     return f"{t('dropped')}: {said(reason)}" if reason else said(head)
 
 
-def degrees(pairs: Pairs, images: int) -> Markup:
-    """Histogram of how many verified (or else planned) pairs an image has."""
-    label = t("ties of an image (red: fewer than {})", FEW_TIES)
-    return histogram(ties(pairs, images), FEW_TIES, label, t("images"))
-
-
 def ties(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) verified, or else planned, pairs of each image."""
     return tied(pairs).degree(images)
@@ -158,7 +152,8 @@ def network_part(run: RunFolder) -> dict[str, Any]:
         out["matrices"] = [looked_at(before, run.scene), holding(pairs, run.scene)]
         rows = funnel_rows(pairs, run.network)
         out["funnel"], out["table"] = funnel(rows), _funnel_table(rows, len(run.scene))
-        out["degrees"] = degrees(pairs, len(run.scene))
+        label = t("ties of an image (red: fewer than {})", FEW_TIES)
+        out["degrees"] = histogram(ties(pairs, len(run.scene)), FEW_TIES, label, t("images"))
     notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
     sentences = [note if note.endswith((".", "!", "?")) else f"{note}." for note in map(capital, run.notes("coarse"))]
     out |= {"model": sentences, "notes": list(notes.items()), "links": [], "tables": []}
