@@ -220,7 +220,7 @@ class Watched:
             return
         ties, known = self.ties(scene), self._known(scene)
         size_px = self.run.settings.preview.size_px
-        how = partial(resect_previews, size_px=size_px, tuning=self.tuning.frames)
+        how = partial(resect_previews, size_px=size_px)
         for _ in range(2):  # a frame may depend on one that comes after it
             without = ~known.placed()
             across = without[ties.i] != without[ties.j]
@@ -232,7 +232,7 @@ class Watched:
             if not todo:
                 return
             self._tried.update({scene.frame_names[f]: int(weight[f]) for f in todo})
-            poses = place_frames(scene, ties, known, todo, how, self.tuning.frames)
+            poses = place_frames(scene, ties, known, todo, how)
             known = replace(known, poses=poses)
             self.poses.update({n: poses[k] for k, n in enumerate(scene.names) if np.isfinite(poses[k]).all()})
 
@@ -258,7 +258,7 @@ class Watched:
         new = len(scene) - self._models.images
         idle = now - self._last > tuning.idle_s
         if new >= max(1, tuning.more * self._models.images) or (idle and (new or self._models.ties < len(self._ties))):
-            self._models.start(scene, self.ties(scene), tuning)
+            self._models.start(scene, self.ties(scene))
             self._models.ties = len(self._ties)
 
     def _take_model(self, made: Modelled) -> None:
