@@ -32,14 +32,12 @@ from tiegraph.calibrate.adjust import State, adjust_robustly, start
 from tiegraph.calibrate.board import CameraImages, Observations, View, detect, read_board
 from tiegraph.calibrate.judge import Precision, judge, parameters, precision
 from tiegraph.calibrate.summary import lens_of
-from tiegraph.calibrate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.targets import CENTRE
 
 SIDES = ("left", "right")
 BOARD = "checker:9x6:0.025"
 SIZE = (640, 480)
-TUNING = Tuning()
 SPLITS = 20
 
 
@@ -86,7 +84,7 @@ def main() -> None:
 
 
 def _ours(pixels: np.ndarray) -> np.ndarray:
-    return detect(pixels, read_board(BOARD), TUNING.board)[1]
+    return detect(pixels, read_board(BOARD))[1]
 
 
 def _sample(pixels: np.ndarray) -> np.ndarray:
@@ -127,11 +125,11 @@ def _arrays(seen: Observations) -> tuple[list[np.ndarray], tuple[list[np.ndarray
 
 def tiegraphs(seen: Observations) -> tuple[Stereo, Precision]:
     """By `tiegraph calibrate`'s adjustment."""
-    done = adjust_robustly(seen, start(seen, TUNING.adjust), TUNING.adjust)
+    done = adjust_robustly(seen, start(seen))
     lenses = [lens for camera in done.state.cameras if (lens := lens_of(camera)) is not None]
     matrices = tuple(np.array([[m[0], 0, m[2]], [0, m[1], m[3]], [0, 0, 1]]) for m in (lens.middle for lens in lenses))
     terms = tuple(np.array(lens.terms) for lens in lenses)
-    return Stereo(matrices, terms, done.state.sensor_from_rig[-1]), precision(done, TUNING.adjust)
+    return Stereo(matrices, terms, done.state.sensor_from_rig[-1]), precision(done)
 
 
 def opencvs(seen: Observations) -> Stereo:
@@ -150,16 +148,16 @@ def opencvs(seen: Observations) -> Stereo:
 def single(seen: Observations, side: int) -> dict[str, Any]:
     """One camera by both: parameters, RMS of a coordinate, and how halves of the images differ in sigmas."""
     own = seen.of_camera(side)
-    done = adjust_robustly(own, start(own, TUNING.adjust), TUNING.adjust)
-    verdict = judge(done, TUNING)
+    done = adjust_robustly(own, start(own))
+    verdict = judge(done)
     values, sigma, rms = _opencv_single(own)
     exact = verdict.precision
     ours = np.array([p.value for p in exact.parameters])
     apart = {"tiegraph": [], "opencv": []}
     for one, two in _drawn(own.instants()):
         halves_ = [own.among(instants) for instants in (one, two)]
-        found = [adjust_robustly(half, start(half, TUNING.adjust), TUNING.adjust) for half in halves_]
-        sigmas = [precision(half, TUNING.adjust).sigma for half in found]
+        found = [adjust_robustly(half, start(half)) for half in halves_]
+        sigmas = [precision(half).sigma for half in found]
         values_ = [np.array([p.value for p in parameters(half.state)]) for half in found]
         apart["tiegraph"].append((values_[0] - values_[1]) / np.hypot(*sigmas))
         (a, sa, _), (b, sb, _) = (_opencv_single(half) for half in halves_)

@@ -91,11 +91,9 @@ def documented(section):
 @pytest.mark.slow
 def test_every_setting_is_documented():
     from tiegraph.calibrate.settings import CalibrateSettings
-    from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
     from tiegraph.lidar.settings import LidarSettings
     from tiegraph.lidar.tuning import Tuning as LidarTuning
     from tiegraph.odometry.tuning import Tuning as OdometryTuning
-    from tiegraph.plan.tuning import Tuning as PlanTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
     from tiegraph.stations.tuning import Tuning as StationsTuning
@@ -114,8 +112,6 @@ def test_every_setting_is_documented():
         check(stage, getattr(Settings(), stage))
     check("tuning", Tunings())
     check("calibrate", CalibrateSettings())  # it has no run folder, so these stand beside the settings of the stages
-    check("tuning.calibrate", CalibrateTuning())
-    check("tuning.plan", PlanTuning())
     check("lidar", LidarSettings())
     check("tuning.lidar", LidarTuning())
     check("tuning.odometry", OdometryTuning())

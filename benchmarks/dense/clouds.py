@@ -153,7 +153,7 @@ def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np
     views = Cameras(fit(cameras) if fit else cameras, ("all",) * len(cameras))
     with tempfile.TemporaryDirectory() as scratch:
         tiled = tile_clouds(own, points_of(points), Path(scratch), _JUDGED)
-        criteria = criteria_of(tiled, _JUDGED, _DISTANCES_M, range_m=_RANGE_M)
+        criteria = criteria_of(tiled, _DISTANCES_M, range_m=_RANGE_M)
         found = cloud_to_cloud(tiled, criteria, Path(scratch), views).whole
     rows = {
         f"{d:g} m": [round(100 * x, 1) for x in (a, c, f)]

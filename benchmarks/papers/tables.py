@@ -14,7 +14,6 @@ from benchmarks.papers.printed import PRINTED, Printed
 from benchmarks.papers.scenes import SIX
 from benchmarks.table import line
 from tiegraph.plan.figures import Lens, Station, Wanted, station
-from tiegraph.plan.tuning import Tuning
 
 Row = Mapping[str, Any]
 _RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -313,7 +312,7 @@ _DISTANCES_M = (0.5, 0.7, 1.0, 1.2)
 def planned() -> list[Station]:
     """Paper 004's table 1 by the planner, a station for each of its distances."""
     wanted = Wanted(base_m=_BASE_M, match_px=_DISPARITY_PX)
-    return [station(_LENS, d, wanted, Tuning().station) for d in _DISTANCES_M]
+    return [station(_LENS, d, wanted) for d in _DISTANCES_M]
 
 
 def _paper004(found: Mapping[tuple[str, str], Row]) -> list[str]:

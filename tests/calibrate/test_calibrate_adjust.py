@@ -11,15 +11,14 @@ from calibrate.board_world import Renderer, board_before, boards_of_rig, camera,
 from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards, start
 from tiegraph.calibrate.board import APRILGRID, CHECKER, check_views, detect, read_board
 from tiegraph.calibrate.judge import judge, parameters, precision
-from tiegraph.calibrate.summary import Calibration, differences, kalibr_yaml, opencv_yaml, parameter_rows
-from tiegraph.calibrate.tuning import Tuning
+from tiegraph.calibrate.summary import differences, kalibr_yaml, opencv_yaml, parameter_rows
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.camerafile import read_camera_file
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scene.rig import Sensor
 
-TUNING = Tuning()
 BOARD = read_board("charuco:9x7:0.03:0.022")
 SIZE = (640, 480)
 OPENCV = [800.0, 802.0, 325.0, 238.0, -0.2, 0.05, 0.0005, -0.0003]
@@ -41,7 +40,7 @@ def lone(model: str, params: list[float], tilt_deg: float = 40.0, count: int = 2
 
 
 def calibrated(seen):
-    return adjust_robustly(seen, start(seen, TUNING.adjust), TUNING.adjust)
+    return adjust_robustly(seen, start(seen))
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,7 @@ def done():
 @pytest.mark.slow
 def test_a_rig_whose_outer_cameras_share_no_view_is_found_within_its_sigmas(done):
     truth, found = done
-    exact = precision(found, TUNING.adjust)
+    exact = precision(found)
     values = np.array([[p.value for p in parameters(s)] for s in (found.state, truth)])
     off = (values[0] - values[1]) / exact.sigma
     assert 0.5 < np.sqrt(np.mean(off**2)) < 1.6 and 0.045 < found.sigma_px < 0.055
@@ -75,7 +74,7 @@ def test_sigmas_are_those_of_many_calibrations():
     for seed in range(10):
         found = calibrated(observed(BOARD, truth, NAMES, noise_px=0.1, seed=seed))
         values = np.array([p.value for p in parameters(found.state)])
-        off.append((values - true) / precision(found, TUNING.adjust).sigma)
+        off.append((values - true) / precision(found).sigma)
     lenses, places, turns = (np.sqrt(np.mean(part**2)) for part in np.split(np.stack(off), (16, 19), axis=1))
     assert 0.8 < lenses < 1.2 and 0.65 < places < 1.35 and 0.65 < turns < 1.35
 
@@ -89,7 +88,7 @@ def test_errors_that_the_corners_of_a_view_share_widen_the_sigmas():
     sigmas = []
     for seen in (plain, warped):
         found = calibrated(seen)
-        sigmas.append(precision(found, TUNING.adjust).of(0, "fx")[0] / found.sigma_px)
+        sigmas.append(precision(found).of(0, "fx")[0] / found.sigma_px)
     assert sigmas[1] > 1.3 * sigmas[0]
 
 
@@ -124,7 +123,7 @@ def test_corners_seen_once_or_never_and_cameras_without_a_view_are_no_trouble(do
     state = found.state.at({alone.instant})
     pushed = state.rig_from_board[alone.instant].copy()
     pushed[:3, 3] += 0.004
-    placed = place_boards(few, replace(state, rig_from_board={alone.instant: pushed}), TUNING.adjust, 1.0)
+    placed = place_boards(few, replace(state, rig_from_board={alone.instant: pushed}), 1.0)
     off = placed.rig_from_board[alone.instant][:3, 3] - state.rig_from_board[alone.instant][:3, 3]
     assert np.linalg.norm(off) < 3e-4
 
@@ -145,7 +144,7 @@ def test_an_image_of_another_instant_is_left_out_and_named():
 @pytest.mark.slow
 def test_the_verdict_names_the_empty_part_of_the_image_and_the_held_out_error(done):
     _, found = done
-    verdict = judge(found, TUNING)
+    verdict = judge(found)
     for of_camera in verdict.cameras:
         assert 0.045 < of_camera.rms_px < of_camera.held_out_px < 0.07
         assert 0.6 < of_camera.coverage <= 1
@@ -157,7 +156,7 @@ def test_the_verdict_names_the_empty_part_of_the_image_and_the_held_out_error(do
         for v in found.seen.views
         if v.camera == 1 and (keep := (v.xy > 165).any(axis=1) & ((v.xy[:, 0] > 220) | (v.xy[:, 1] > 165))).any()
     ]
-    advice = judge(replace(found, seen=replace(found.seen, views=tuple(cut))), TUNING).advice
+    advice = judge(replace(found, seen=replace(found.seen, views=tuple(cut)))).advice
     assert any(a.startswith("middle: no corner in the upper left of the image: move the board there") for a in advice)
 
 
@@ -166,7 +165,7 @@ def test_a_board_that_is_never_tilted_leaves_the_focal_length_open():
     truth = lone("OPENCV", OPENCV, tilt_deg=0.3)
     found = calibrated(observed(BOARD, truth, ["front"], noise_px=0.3))
     with pytest.raises(ReconstructionError, match="front: these views do not determine its focal length.*sigma of"):
-        judge(found, TUNING)
+        judge(found)
 
 
 def test_what_cannot_be_calibrated_is_said_at_the_start():
@@ -230,8 +229,8 @@ def test_the_bend_of_a_board_is_found_and_taken_out():
     bent = replace(BOARD, points=BOARD.points + np.outer(sag - sag.mean(), [0, 0, 1]))
     truth = lone("OPENCV", OPENCV)
     seen = replace(observed(bent, truth, ["one"], noise_px=0.05), board=BOARD)
-    begin = start(seen, TUNING.adjust)
-    flat, free = (adjust_robustly(seen, begin, TUNING.adjust, sigma) for sigma in (0.0, 0.001))
+    begin = start(seen)
+    flat, free = (adjust_robustly(seen, begin, sigma) for sigma in (0.0, 0.001))
     assert flat.sigma_px > 3 * free.sigma_px and 0.04 < free.sigma_px < 0.06
     off = np.abs([f.state.cameras[0].params[0] / OPENCV[0] - 1 for f in (flat, free)])
     assert 1e-6 < off[1] < 1e-3 and off[1] < off[0] / 2, off
@@ -251,12 +250,14 @@ def place_of(yaw_deg: float, place: tuple[float, float, float]) -> np.ndarray:
 
 def test_what_differs_is_told_in_its_unit_and_in_sigmas():
     first = [
-        Calibration("a", lens_of(), np.eye(4), focal_sigma_px=0.3),
-        Calibration("b", lens_of(), place_of(30.0, (0.2, 0, 0)), 0.3, 0.01, 0.0005),
+        Sensor("a", lens_of(), np.eye(4), camera_sigma_px=0.3),
+        Sensor("b", lens_of(), place_of(30.0, (0.2, 0, 0)), camera_sigma_px=0.3, sigma_deg=0.01, sigma_m=0.0005),
     ]
     second = [
-        Calibration("b", lens_of(1002.0), place_of(30.05, (0.203, 0, 0)), 0.4, 0.01, 0.0005),
-        Calibration("a", lens_of(), np.eye(4)),
+        Sensor(
+            "b", lens_of(1002.0), place_of(30.05, (0.203, 0, 0)), camera_sigma_px=0.4, sigma_deg=0.01, sigma_m=0.0005
+        ),
+        Sensor("a", lens_of(), np.eye(4)),
     ]
     same, other = differences(first, second)
     assert (same.name, same.focal, same.focal_sigmas) == ("a", 0.0, 0.0) and same.lens_px < 1e-6
@@ -269,20 +270,20 @@ def test_what_differs_is_told_in_its_unit_and_in_sigmas():
 
 
 def test_the_lens_is_compared_beyond_what_a_turn_explains():
-    (shifted,) = differences([Calibration("a", lens_of())], [Calibration("c", lens_of(cx=490.0))])
-    (bent,) = differences([Calibration("a", lens_of())], [Calibration("c", lens_of(k1=-0.12))])
+    (shifted,) = differences([Sensor("a", lens_of())], [Sensor("c", lens_of(cx=490.0))])
+    (bent,) = differences([Sensor("a", lens_of())], [Sensor("c", lens_of(k1=-0.12))])
     assert 0.2 < shifted.lens_px < 3 and np.isnan(shifted.focal_sigmas)  # ten pixels of a centre are mostly a turn
     assert 0.5 < bent.lens_px < 5
 
 
 def test_sizes_are_brought_together_or_refused():
-    one = [Calibration("a", lens_of())]
-    (row,) = differences(one, [Calibration("a", lens_of(500.0, 240.0, size=(480, 360)))])
+    one = [Sensor("a", lens_of())]
+    (row,) = differences(one, [Sensor("a", lens_of(500.0, 240.0, size=(480, 360)))])
     assert abs(row.focal) < 1e-9 and row.lens_px < 1.0
     with pytest.raises(InputError, match="another shape"):
-        differences(one, [Calibration("a", lens_of(size=(720, 960)))])
+        differences(one, [Sensor("a", lens_of(size=(720, 960)))])
     with pytest.raises(InputError, match="no camera is in both"):
-        differences([Calibration(n, lens_of()) for n in "ab"], [Calibration(n, lens_of()) for n in "cd"])
+        differences([Sensor(n, lens_of()) for n in "ab"], [Sensor(n, lens_of()) for n in "cd"])
 
 
 GRID = "target_type: 'aprilgrid' #gridtype\ntagCols: 6\ntagRows: 5\ntagSize: 0.088  # [m]\ntagSpacing: 0.3\n"
@@ -353,7 +354,6 @@ def test_malformed_target_files_are_refused(tmp_path, text, said):
         read_board(str(path))
 
 
-TUNING_BOARD = Tuning().board
 CAMERA = camera("OPENCV", [800, 802, 325, 238, -0.2, 0.05, 0.0005, -0.0003], (640, 480))
 
 
@@ -364,7 +364,7 @@ def errors(text: str, spread: float, seeds: range) -> tuple[np.ndarray, float]:
     for seed in seeds:
         rng = np.random.default_rng(seed)
         pose = board_before(board, CAMERA, rng, tilt_deg=35, depth_m=(0.42, 0.5), spread=spread)
-        numbers, xy = detect(render(pose, 2.0, rng), board, TUNING_BOARD)
+        numbers, xy = detect(render(pose, 2.0, rng), board)
         true = np.asarray(CAMERA.img_from_cam(transforms.apply(pose, board.points)))
         there += int(((true > 0) & (true < (640, 480))).all(axis=1).sum())
         off.append(xy - true[numbers])
@@ -394,7 +394,7 @@ def test_a_checkerboard_is_numbered_alike_however_it_is_turned():
         middle = board.points.mean(axis=0)
         spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
         pose = pose @ transforms.rigid(spin, middle - spin @ middle)
-        numbers, xy = detect(render(pose, 2.0, rng), board, TUNING_BOARD)
+        numbers, xy = detect(render(pose, 2.0, rng), board)
         true = np.asarray(CAMERA.img_from_cam(transforms.apply(pose, board.points)))
         rms = [np.sqrt(np.mean((xy - order[numbers]) ** 2)) for order in (true, true[::-1])]
         assert 0.01 < min(rms) < 0.04
@@ -406,5 +406,5 @@ def test_a_checkerboard_is_numbered_alike_however_it_is_turned():
 def test_nothing_is_found_where_there_is_no_board():
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
     for text in ("charuco:9x7:0.03:0.022", "checker:9x6:0.02"):
-        numbers, xy = detect(noise, read_board(text), TUNING_BOARD)
+        numbers, xy = detect(noise, read_board(text))
         assert len(numbers) == 0 and xy.shape == (0, 2)

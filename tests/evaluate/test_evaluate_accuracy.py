@@ -198,7 +198,7 @@ def judged(
     match = PoseMatch(transforms.rigid(turn, est), transforms.rigid(turn, reference), np.zeros(60, int), np.arange(60))
     found = evaluate_trajectory(match, (10.0,), BESIDE.trajectory, same_frame=same)
     figures = pose_figures(match, found, predicted, BESIDE.trajectory)
-    return against_poses(match, figures, predicted.metric, BESIDE.judge, 0.5, registered)
+    return against_poses(match, figures, predicted.metric, 0.5, registered)
 
 
 @pytest.mark.slow
@@ -255,15 +255,15 @@ def test_a_shift_on_the_earth_is_said_apart() -> None:
 def test_a_cloud_farther_than_predicted(tmp_path) -> None:
     def said(cloud: np.ndarray) -> Figure:
         clouds = tiled(cloud, wall, tmp_path)
-        found = cloud_to_cloud(clouds, criteria_of(clouds, BESIDE.cloud, (0.02, 0.2)), tmp_path)
+        found = cloud_to_cloud(clouds, criteria_of(clouds, (0.02, 0.2)), tmp_path)
         return cloud_figure(found, 3.0, STATED, True)
 
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(0, 10, 20000), np.zeros(20000), rng.uniform(0, 4, 20000)])
     near = wall[:8000] + [0.0, 0.01, 0.0] * rng.standard_normal((8000, 1))
     fits = said(near)
-    assert against_cloud(fits, BESIDE.judge) == [] and 0.3 < fits.ratio < 1.5
-    (text,) = against_cloud(said(near + [0, 0.18, 0]), BESIDE.judge)
+    assert against_cloud(fits) == [] and 0.3 < fits.ratio < 1.5
+    (text,) = against_cloud(said(near + [0, 0.18, 0]))
     assert "differ by 0.18" in text or "differ by 0.17" in text
 
 

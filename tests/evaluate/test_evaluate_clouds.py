@@ -24,7 +24,7 @@ from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.evaluate.trajectory import evaluate_trajectory
-from tiegraph.evaluate.tuning import ChangesTuning, CloudTuning, M3c2Tuning, RegistrationTuning, Tuning
+from tiegraph.evaluate.tuning import CloudTuning, M3c2Tuning, RegistrationTuning, Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.coarse import start_of
@@ -42,7 +42,7 @@ CLOUD = CloudTuning()
 def judged(cloud, reference, folder: Path, distances=(), tile_points=2_000_000, **more) -> CloudComparison:
     clouds = tiled(cloud, reference, folder, tile_points)
     cameras, range_m = more.get("cameras"), more.get("range_m")
-    return cloud_to_cloud(clouds, criteria_of(clouds, CLOUD, distances, range_m=range_m), folder, cameras)
+    return cloud_to_cloud(clouds, criteria_of(clouds, distances, range_m=range_m), folder, cameras)
 
 
 def by_hand(cloud: np.ndarray, reference: np.ndarray, found: CloudComparison) -> tuple[list, list, float, float]:
@@ -95,9 +95,9 @@ def test_the_same_cloud_is_perfect_and_distances_fit_it(tmp_path: Path) -> None:
 
 def test_distances_follow_the_gsd(tmp_path: Path) -> None:
     clouds = tiled(quay(500), quay(500), tmp_path)
-    assert criteria_of(clouds, CLOUD, gsd_m=0.012).distances_m == (0.02, 0.05, 0.1, 0.2)
-    assert criteria_of(clouds, CLOUD, gsd_m=0.005).distances_m == (0.005, 0.01, 0.02, 0.05)
-    assert criteria_of(clouds, CLOUD, (0.3, 0.1), gsd_m=0.005).distances_m == (0.1, 0.3)
+    assert criteria_of(clouds, gsd_m=0.012).distances_m == (0.02, 0.05, 0.1, 0.2)
+    assert criteria_of(clouds, gsd_m=0.005).distances_m == (0.005, 0.01, 0.02, 0.05)
+    assert criteria_of(clouds, (0.3, 0.1), gsd_m=0.005).distances_m == (0.1, 0.3)
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_ghosts_are_where_the_reference_observed_only(tmp_path: Path) -> None:
 def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="reference has no points"):
         clouds = tiled(quay(100), np.zeros((0, 3)), tmp_path)
-        cloud_to_cloud(clouds, criteria_of(clouds, CLOUD), tmp_path)
+        cloud_to_cloud(clouds, criteria_of(clouds), tmp_path)
     with pytest.raises(ValueError, match=r"from \(0.0.* and the other \(from \(1000.0.* do not meet.* one CRS"):
         judged(quay(500), quay(500) + 1000, tmp_path, (0.1,))
 
@@ -252,7 +252,7 @@ def test_a_box_moved_by_5_cm_is_found_and_the_rest_is_chance(tmp_path: Path) -> 
     box, still = found.known & (x < 1.5) & (y < 1.5), found.known & ((x > 2.6) | (y > 2.6))
     assert found.significant[box].mean() > 0.95 and 0.045 < np.median(found.distance_m[box]) < 0.055
     assert 0.03 < found.significant[still].mean() < 0.08
-    done = changes(found, ChangesTuning())
+    done = changes(found)
     assert len(done.listed) == 1 and done.listed[0].mean_m == pytest.approx(0.05, abs=0.01)
     assert np.abs(done.listed[0].middle[:2]).max() < 0.3
     assert 14 < done.listed[0].area_m2 < 22 and 0.6 < done.listed[0].volume_m3 < 1.0  # 16 m2, 0.8 m3

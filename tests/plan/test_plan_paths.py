@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pycolmap
@@ -18,11 +19,8 @@ from tiegraph.plan.network import MountedCamera, Network, _hit, make_network
 from tiegraph.plan.path import SHAPES, Course, Path, make_path, read_anchor
 from tiegraph.plan.planner import Rigged
 from tiegraph.plan.request import CameraRequest, ImageRequest, WorldRequest
-from tiegraph.plan.tuning import Tuning
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
-TUNING = Tuning()
-EXACT = TUNING.errors.model_copy(update={"calibration_px": 0.0})
 COURSE = Course("canal", distance_m=8, length_m=30, width_m=20, height_m=8, base_m=2, row_m=3, passes=2)
 SIDEWAYS = replace(COURSE, shape="facade", passes=1, height_m=4)
 
@@ -37,13 +35,15 @@ def camera(name: str = "cam0", shift: float = 0.0) -> MountedCamera:
 
 def propagated(model: pycolmap.Reconstruction, calibrated: bool) -> Shape:
     """Calibrated cameras in a fixed rig."""
-    return _propagate(model, calibrated, rigged=Rigged([], held=(1, 2), fixed=True), errors=EXACT, tuning=SfmTuning())
+    return _propagate(
+        model, calibrated, rigged=Rigged([], held=(1, 2), fixed=True), calibration_px=0.0, tuning=SfmTuning()
+    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_frames_look_at_the_surface_and_are_a_base_apart(shape):
     """Body axes are a rotation; from a frame the middle of the view, or for ways along it a side, meets a facet."""
-    path = make_path(replace(COURSE, shape=shape), TUNING.path)
+    path = make_path(replace(COURSE, shape=shape))
     turns = path.world_from_body[:, :3, :3]
     assert np.allclose(turns @ np.swapaxes(turns, 1, 2), np.eye(3))
     assert np.allclose(np.linalg.det(turns), 1)
@@ -59,7 +59,7 @@ def test_frames_look_at_the_surface_and_are_a_base_apart(shape):
 
 
 def test_a_canal_is_gone_out_and_back_on_the_right():
-    path = make_path(COURSE, TUNING.path)
+    path = make_path(COURSE)
     out, back = (path.centres[path.leg == k] for k in (0, 1))
     assert path.legs == ("pass 1 out", "pass 2 back")
     assert np.allclose(out[:, 1], -1.2) and np.allclose(back[:, 1], 1.2)
@@ -68,14 +68,14 @@ def test_a_canal_is_gone_out_and_back_on_the_right():
 
 
 def test_yaw_turns_to_the_right_and_pitch_up():
-    path = make_path(replace(COURSE, turned_deg=(90.0, 0.0)), TUNING.path)
+    path = make_path(replace(COURSE, turned_deg=(90.0, 0.0)))
     assert np.allclose(path.world_from_body[0, :3, 2], [0, -1, 0])
-    path = make_path(replace(COURSE, turned_deg=(0.0, 30.0)), TUNING.path)
+    path = make_path(replace(COURSE, turned_deg=(0.0, 30.0)))
     assert path.world_from_body[0, 2, 2] == pytest.approx(0.5)
 
 
 def test_an_orbit_that_looks_down_stands_higher_round_the_same_middle_and_sees_the_ground():
-    level, down = (make_path(replace(COURSE, shape="orbit", turned_deg=(0.0, p)), TUNING.path) for p in (0.0, -30.0))
+    level, down = (make_path(replace(COURSE, shape="orbit", turned_deg=(0.0, p))) for p in (0.0, -30.0))
     middle = level.centres[level.leg == 0].mean(axis=0)
     for path in (level, down):
         view = path.world_from_body[path.leg == 0]
@@ -87,9 +87,9 @@ def test_an_orbit_that_looks_down_stands_higher_round_the_same_middle_and_sees_t
 
 
 def network(course: Course = SIDEWAYS, most: int = 800, tie_px: float = 0.2) -> tuple[Path, Network]:
-    path = make_path(course, TUNING.path)
-    tuning = TUNING.network.model_copy(update={"most_points": most})
-    return path, make_network(path, [camera(), camera("cam1", 0.5)], WorldRequest(tie_px=tie_px), 0.4, tuning)
+    path = make_path(course)
+    with patch("tiegraph.plan.network._MOST_POINTS", most):
+        return path, make_network(path, [camera(), camera("cam1", 0.5)], WorldRequest(tie_px=tie_px), 0.4)
 
 
 @pytest.mark.slow
@@ -117,10 +117,10 @@ def test_sigmas_follow_the_noise_and_not_the_number_simulated():
     symmetric sigmas."""
 
     def plan(tie_px: float, most: int) -> PathPlan:
-        tuning = TUNING.model_copy(update={"network": TUNING.network.model_copy(update={"most_points": most})})
-        path = make_path(SIDEWAYS, TUNING.path)
+        path = make_path(SIDEWAYS)
         world = WorldRequest(tie_px=tie_px)
-        return plan_path(path, [camera(), camera("cam1", 0.5)], propagated, world, 0.4, tuning)
+        with patch("tiegraph.plan.network._MOST_POINTS", most):
+            return plan_path(path, [camera(), camera("cam1", 0.5)], propagated, world, 0.4)
 
     few, twice, many = plan(0.15, 1500), plan(0.3, 1500), plan(0.15, 3000)
     middle = np.median(few.expected.shape)
@@ -202,15 +202,15 @@ def test_waypoints_on_the_earth_keep_lengths_and_heading():
 
 
 def asked(**world) -> None:
-    WorldRequest(**world).check(TUNING.world)
+    WorldRequest(**world).check()
 
 
 @pytest.mark.parametrize(
     "make, said",
     [
-        (lambda: make_path(replace(COURSE, shape="canl"), TUNING.path), "canal"),
-        (lambda: make_path(replace(COURSE, length_m=-1), TUNING.path), "--length -1"),
-        (lambda: make_path(replace(COURSE, passes=1, length_m=1), TUNING.path), "1 frame"),
+        (lambda: make_path(replace(COURSE, shape="canl")), "canal"),
+        (lambda: make_path(replace(COURSE, length_m=-1)), "--length -1"),
+        (lambda: make_path(replace(COURSE, passes=1, length_m=1)), "1 frame"),
         (lambda: network(replace(COURSE, base_m=0.01)), "1500"),
         (lambda: network(replace(COURSE, turned_deg=(0, 90))), "see past it"),
         (lambda: asked(tie_px=0.0), "--tie-px 0"),
@@ -228,7 +228,6 @@ def test_what_makes_no_path_is_refused_by_name(make, said):
         make()
 
 
-FIGURES = Tuning().station
 LENS = Lens(8 / 0.00345, (2448, 2048))  # paper 004: 8 mm, 3.45 um, 5 MP
 
 
@@ -242,7 +241,7 @@ LENS = Lens(8 / 0.00345, (2448, 2048))  # paper 004: 8 mm, 3.45 um, 5 MP
     ],
 )
 def test_table_1_of_paper_004(distance, precision_mm, points, footprint_cm):
-    made = station(LENS, distance, Wanted(base_m=0.075, match_px=0.3), FIGURES)
+    made = station(LENS, distance, Wanted(base_m=0.075, match_px=0.3))
     assert round(1000 * made.precision_m[0], 3) == precision_mm
     assert round(made.points_mm2, 1) == points
     # The paper's footprint is what all four cameras of the square see; its 65 cm should be 66.
@@ -253,7 +252,7 @@ def test_table_1_of_paper_004(distance, precision_mm, points, footprint_cm):
 @pytest.mark.parametrize("rays", [2, 3, 5])
 def test_precision_by_rays_is_that_of_least_squares(rays):
     """Rays in a row to a point far away: the normal equations say the same as the closed form."""
-    made = station(LENS, 1.0, Wanted(base_m=0.05, match_px=0.3), FIGURES)
+    made = station(LENS, 1.0, Wanted(base_m=0.05, match_px=0.3))
     model = row_of_cameras(rays, 0.05, 1.0)
     depth = math.sqrt(own_variance(model, np.array([1]))[0, 2]) * 0.3 / math.sqrt(2)  # a disparity is of two images
     assert 0.97 < depth / made.precision_m[rays - 2] < 1.03
@@ -279,41 +278,41 @@ def row_of_cameras(count: int, base: float, distance: float) -> pycolmap.Reconst
 
 def test_the_base_comes_from_what_is_said_first():
     both = {"overlap": 0.8, "speed_m_s": 2.0, "rate_hz": 4.0}
-    assert station(LENS, 5.0, Wanted(base_m=0.3, **both), FIGURES).base_m == 0.3
-    assert station(LENS, 5.0, Wanted(**both), FIGURES).base_m == 0.5
-    made = station(LENS, 5.0, Wanted(overlap=0.8), FIGURES)
+    assert station(LENS, 5.0, Wanted(base_m=0.3, **both)).base_m == 0.3
+    assert station(LENS, 5.0, Wanted(**both)).base_m == 0.5
+    made = station(LENS, 5.0, Wanted(overlap=0.8))
     assert made.base_m == pytest.approx(0.2 * 5.0 / LENS.focal_px * 2448)
     assert made.overlap == pytest.approx(0.8)
-    upright = station(Lens(LENS.focal_px, LENS.size, along=1), 5.0, Wanted(overlap=0.8), FIGURES)
+    upright = station(Lens(LENS.focal_px, LENS.size, along=1), 5.0, Wanted(overlap=0.8))
     assert upright.base_m == pytest.approx(0.2 * 5.0 / LENS.focal_px * 2048)
 
 
 def test_motion_blur_and_the_exposure_that_avoids_it():
-    made = station(LENS, 2.0, Wanted(speed_m_s=1.5, rate_hz=10.0, exposure_s=0.002), FIGURES)
+    made = station(LENS, 2.0, Wanted(speed_m_s=1.5, rate_hz=10.0, exposure_s=0.002))
     assert made.blur_px == pytest.approx(1.5 * 0.002 / made.gsd_m)
     assert made.exposure_s == pytest.approx(0.5 * made.gsd_m / 1.5)
     longest = Wanted(speed_m_s=1.5, rate_hz=10.0, exposure_s=made.exposure_s)
-    assert station(LENS, 2.0, longest, FIGURES).blur_px == pytest.approx(FIGURES.blur_px)
+    assert station(LENS, 2.0, longest).blur_px == pytest.approx(0.5)
 
 
 def test_what_is_advised_gives_what_is_wanted():
     wanted = Wanted(overlap=0.9, precision_m=0.002, speed_m_s=2.0, rate_hz=2.0, exposure_s=0.01)
-    made = station(LENS, 5.0, wanted, FIGURES)
+    made = station(LENS, 5.0, wanted)
     said = advice(made, LENS, wanted)
     assert len(said) == 3
     base = float(said[0].split("a base of ")[1].split(" m")[0])
-    better = station(LENS, 5.0, Wanted(base_m=base, precision_m=0.002), FIGURES)
+    better = station(LENS, 5.0, Wanted(base_m=base, precision_m=0.002))
     assert 0.99 < better.precision_m[0] / 0.002 < 1.01
-    nearer = station(LENS, made.farthest_m, wanted, FIGURES)
+    nearer = station(LENS, made.farthest_m, wanted)
     assert nearer.precision_m[0] == pytest.approx(0.002)
     speed = float(said[1].split("go ")[1].split(" m/s")[0])
-    assert station(LENS, 5.0, Wanted(speed_m_s=speed, rate_hz=2.0), FIGURES).overlap == pytest.approx(0.9, abs=0.002)
+    assert station(LENS, 5.0, Wanted(speed_m_s=speed, rate_hz=2.0)).overlap == pytest.approx(0.9, abs=0.002)
     assert "expose" in said[2]
     assert not advice(better, LENS, Wanted(base_m=base, precision_m=0.00201))
 
 
 def test_images_too_far_apart_are_said_to_show_nothing():
-    made = station(LENS, 1.0, Wanted(base_m=5.0), FIGURES)
+    made = station(LENS, 1.0, Wanted(base_m=5.0))
     assert made.overlap == 0 and made.precision_m == ()
     assert "do not overlap" in advice(made, LENS, Wanted(base_m=5.0))[0]
 
@@ -336,8 +335,8 @@ def test_images_too_far_apart_are_said_to_show_nothing():
         (lambda: Wanted(rate_hz=2.0), "without --speed"),
         (lambda: Wanted(speed_m_s=-1.0, rate_hz=2.0), "--speed -1"),
         (lambda: Wanted(exposure_s=0.001), "without --speed"),
-        (lambda: station(LENS, -1.0, Wanted(overlap=0.8), FIGURES), "--distance -1"),
-        (lambda: station(LENS, 1.0, Wanted(), FIGURES), "--overlap, --base"),
+        (lambda: station(LENS, -1.0, Wanted(overlap=0.8)), "--distance -1"),
+        (lambda: station(LENS, 1.0, Wanted()), "--overlap, --base"),
         (lambda: ImageRequest().distances(), "--distance"),
         (lambda: ImageRequest(distance="1,x").distances(), "--distance 1,x"),
         (lambda: ImageRequest(sidelap=1.0).wanted(None, None), "--sidelap 1"),

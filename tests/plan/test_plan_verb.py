@@ -15,9 +15,8 @@ import pytest
 from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
 from tiegraph.pipeline.evaluate import report
-from tiegraph.plan.figures import effort
+from tiegraph.plan.figures import START_S, effort
 from tiegraph.plan.planner import comparison
-from tiegraph.plan.tuning import Tuning
 from tiegraph.report.settings import ReportSettings
 
 PAPER = ["--focal", "8", "--pixel", "3.45", "--size", "2448x2048", "--base", "0.075", "--match-px", "0.3"]
@@ -107,13 +106,12 @@ def _reported(folder: Path) -> str:
 
 
 def test_what_a_survey_costs_grows_with_its_images():
-    tuning = Tuning().effort
-    one, ten = (effort([(2000, 1500)] * 2, n, 100.0, 0.5, 12288, tuning) for n in (1, 10))
+    one, ten = (effort([(2000, 1500)] * 2, n, 100.0, 0.5, 12288) for n in (1, 10))
     assert ten.images == 20 and ten.site_s == 200
     assert ten.image_bytes == pytest.approx(10 * one.image_bytes)
-    assert ten.sparse_cpu_s - tuning.start_s == pytest.approx(10 * (one.sparse_cpu_s - tuning.start_s))
+    assert ten.sparse_cpu_s - START_S == pytest.approx(10 * (one.sparse_cpu_s - START_S))
     # Herz-Jesus-P25 took 58.9 CPU s up to `georef`, benchmarks/results/large_sets.json.
-    assert 40 < effort([(1536, 1024)], 25, 1.0, None, 12288, tuning).sparse_cpu_s < 90
+    assert 40 < effort([(1536, 1024)], 25, 1.0, None, 12288).sparse_cpu_s < 90
 
 
 @pytest.mark.slow

@@ -322,7 +322,7 @@ def test_a_file_changes_what_it_names(tmp_path):
     path.write_text("[tuning.stations.precision]\nbands = 4\n[tuning.scene.blocks]\nown = 300\n")
     found = read_tunings(path)
     assert found.stations.precision.bands == 4 != VerbTunings().stations.precision.bands
-    assert found.calibrate == VerbTunings().calibrate
+    assert found.lidar == VerbTunings().lidar
     assert found.changed() == {"stations": {"precision": {"bands": 4}}, "scene": {"blocks": {"own": 300}}}
     assert found.of_stages() == {"scene": {"blocks": {"own": 300}}}
     assert read_tunings(None).changed() == {}

@@ -31,7 +31,7 @@ from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.watch.arrivals import Arrivals
 from tiegraph.watch.frames import Known, place_frames
-from tiegraph.watch.tuning import ArrivalsTuning, FramesTuning, ModelTuning, Tuning
+from tiegraph.watch.tuning import ArrivalsTuning, ModelTuning, Tuning
 from tiegraph.watch.view import page, path_and_ties, plan_from_world
 
 SETTLED = ArrivalsTuning(settled_s=0.6, again_s=5.0, tries=3)
@@ -101,7 +101,6 @@ def test_files_are_handed_out_in_the_order_they_were_written(card):
     assert arrivals.look(1.0) == ["c.jpg", "b.jpg", "a.jpg"]
 
 
-TUNING = FramesTuning()
 IMAGES, POINTS = 5, 300
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[500, 320, 240])
 
@@ -124,8 +123,8 @@ def placed(poses, seen, ties, known):
     rig = calibrated_rig(scene)
     state = Known(start, [CAMERA] * IMAGES, lambda k: seen[k], [rig])
     frames = [int(scene.frame[k]) for k in range(IMAGES) if k not in known]
-    how = partial(resect_previews, size_px=400, tuning=TUNING)
-    return place_frames(scene, ties, state, frames, how, TUNING)
+    how = partial(resect_previews, size_px=400)
+    return place_frames(scene, ties, state, frames, how)
 
 
 def calibrated_rig(scene):

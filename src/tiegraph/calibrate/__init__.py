@@ -13,6 +13,5 @@ the one that the scatter of the instants' gradients says (the sandwich estimator
 as clusters). Judged is by instants that were held back, by where in the image corners were seen, and by
 the sigma of the focal length: views of a board that is never tilted leave it open, and that is an error.
 
-The scale is the board's: a wrong square size changes no residual, but every length of the rig. There is no run folder,
-so the constants of ``tuning`` are not in ``tiegraph.toml``.
+The scale is the board's: a wrong square size changes no residual, but every length of the rig.
 """

@@ -13,7 +13,6 @@ import numpy as np
 import pycolmap
 
 from tiegraph.calibrate.board import Observations, View, joint_instants
-from tiegraph.calibrate.tuning import AdjustTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
@@ -22,6 +21,9 @@ from tiegraph.scene.rig import on_plane
 
 _RIG = 1
 _CLIP_PX = 50.0  # residuals that compare start values
+_STAGES_PX = (50.0, 5.0)  # scales of the Cauchy loss at first: undistorted start values are tens of pixels off
+LEAST_SCALE_PX = 0.02  # of that of the last adjustments, which the residuals tell
+_LEAST_KEPT = 0.5  # share of a camera's views: else board, model or instants are wrong and not the views
 
 
 @dataclass(frozen=True)
@@ -75,51 +77,48 @@ class Adjusted:
     bent_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) of the board's corners from a plane
 
 
-def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, board_sigma_m: float = 0.0) -> Adjusted:
-    """Adjust all, leave out views that contradict the others, and adjust the rest; with a sigma of the board's corners
-    these too, about where a flat board has them.
+def adjust_robustly(seen: Observations, start: State, board_sigma_m: float = 0.0) -> Adjusted:
+    """Adjust all, leave out views that contradict the others, adjust the rest; with a sigma the board's corners too.
 
     Raises ReconstructionError if most of a camera's contradict.
     """
-    state = adjust(seen, start, tuning, tuning.stages_px)
+    state = adjust(seen, start, _STAGES_PX)
     left_out: dict[str, str] = {}
     kept = seen
     for _ in range(5):
-        found = _doubtful(kept, state, tuning)
+        found = _doubtful(kept, state)
         if not found:
             break
         left_out |= found
         kept = seen.without(left_out)
         for number, camera in enumerate(seen.cameras):
             before, after = (len(o.of_camera(number).views) for o in (seen, kept))
-            if after < tuning.most_doubted * before:
+            if after < _LEAST_KEPT * before:
                 name, reason = next(iter(left_out.items()))
                 raise ReconstructionError(
                     f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
                     f"{reason}): is the camera model right (--model), the board as --board says, and are images of "
                     "one instant called alike?"
                 )
-        state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
-    scale = max(CAUCHY_SIGMAS * _sigma(view_residuals(kept, state)), tuning.least_scale_px)
-    state = adjust(kept, state, tuning, (scale,))
+        state = adjust(kept, state.at(kept.instants()), _STAGES_PX[-1:])
+    scale = max(CAUCHY_SIGMAS * _sigma(view_residuals(kept, state)), LEAST_SCALE_PX)
+    state = adjust(kept, state, (scale,))
     flat = kept.board.points
     if board_sigma_m > 0:
-        kept, state = _with_bent_board(kept, state, tuning, scale, board_sigma_m)
+        kept, state = _with_bent_board(kept, state, scale, board_sigma_m)
     sigma_px = _sigma(view_residuals(kept, state))
     left = tuple(left_out.items())
     return Adjusted(seen=kept, state=state, left_out=left, sigma_px=sigma_px, bent_m=kept.board.points - flat)
 
 
-def _with_bent_board(
-    seen: Observations, state: State, tuning: AdjustTuning, scale_px: float, sigma_m: float
-) -> tuple[Observations, State]:
+def _with_bent_board(seen: Observations, state: State, scale_px: float, sigma_m: float) -> tuple[Observations, State]:
     """Corners of the board adjusted with all else, each held to its place by a sigma. Place, turn and size of the board
     cost the priors and gain nothing, so they stay; what a corner does that no camera explains is the board's."""
     import pyceres
 
     for _ in range(2):  # the sigma of a pixel falls once the bend is no longer in it
         model = build(seen, state)
-        adjuster = problem(model, tuning, scale_px, points=True)
+        adjuster = problem(model, scale_px, points=True)
         pixel = _sigma(view_residuals(seen, state))
         flat = [np.array(point.xyz) for point in model.points3D.values()]
         priors = [pyceres.factors.NormalPrior(xyz, (sigma_m / pixel) ** 2 * np.eye(3)) for xyz in flat]
@@ -131,16 +130,15 @@ def _with_bent_board(
         for key, corner in zip(sorted(model.point3D_ids()), seen.corners()):
             points[corner] = model.point3D(key).xyz
         seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
-        scale_px = max(CAUCHY_SIGMAS * _sigma(view_residuals(seen, state)), tuning.least_scale_px)
+        scale_px = max(CAUCHY_SIGMAS * _sigma(view_residuals(seen, state)), LEAST_SCALE_PX)
     return seen, state
 
 
-def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[str, str]:
-    """The worst view of every instant, if it is off by much more than the others, with the reason: the rest of its
-    instant may fit without it."""
+def _doubtful(seen: Observations, state: State) -> dict[str, str]:
+    """The worst view of every instant, if off by much more than the others, and why: the rest may fit without it."""
     all_off = view_residuals(seen, state)
     usual = _sigma(all_off)
-    limit = max(tuning.doubt_px, tuning.doubt_sigmas * usual)
+    limit = max(1.0, 10 * usual)  # pixels: taken at another instant, or the board read wrongly
     worst: dict[int, tuple[float, str]] = {}
     for view, residual in zip(seen.views, all_off):
         off = float(np.median(np.nan_to_num(np.hypot(*residual.T), nan=np.inf)))
@@ -153,26 +151,23 @@ def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[st
     }
 
 
-def adjust(
-    seen: Observations, start: State, tuning: AdjustTuning, scales_px: Sequence[float], principal_point: bool = True
-) -> State:
+def adjust(seen: Observations, start: State, scales_px: Sequence[float], principal_point: bool = True) -> State:
     """Interiors, relative orientations and boards adjusted, once for every scale of the Cauchy loss."""
     model = build(seen, start)
     for scale in scales_px:
-        problem(model, tuning, scale, principal_point).solve()
+        problem(model, scale, principal_point).solve()
     return _state(model, start)
 
 
-def place_boards(seen: Observations, start: State, tuning: AdjustTuning, scale_px: float) -> State:
+def place_boards(seen: Observations, start: State, scale_px: float) -> State:
     """The boards alone adjusted, cameras and rig held."""
     model = build(seen, start)
-    problem(model, tuning, scale_px, free=False).solve()
+    problem(model, scale_px, free=False).solve()
     return _state(model, start)
 
 
 def problem(
     model: pycolmap.Reconstruction,
-    tuning: AdjustTuning,
     scale_px: float,
     principal_point: bool = True,
     free: bool = True,
@@ -238,16 +233,13 @@ def _matrix(pose: pycolmap.Rigid3d | None) -> np.ndarray:
     return matrix(pose)
 
 
-# --- start values ----------------------------------------------------------------------------------------------------
-
-
-def start(seen: Observations, tuning: AdjustTuning) -> State:
+def start(seen: Observations) -> State:
     """Every camera by itself, then the cameras against each other, then the board at every instant."""
-    stages, single = tuning.stages_px, []
+    single = []
     for own in map(seen.of_camera, range(len(seen.cameras))):
-        state = adjust(own, _resected(own, _by_focal_length(own)), tuning, stages, principal_point=False)
+        state = adjust(own, _resected(own, _by_focal_length(own)), _STAGES_PX, principal_point=False)
         # Poses seen with a wrong lens may have fallen over: a plane has two resections that are nearly as good.
-        single.append(adjust(own, _resected(own, state.cameras[0]), tuning, stages))
+        single.append(adjust(own, _resected(own, state.cameras[0]), _STAGES_PX))
     cameras = tuple(state.cameras[0] for state in single)
     poses = {(v.camera, v.instant): _poses(cameras[v.camera], seen, v) for v in seen.views}
     for (camera, instant), said in poses.items():

@@ -21,7 +21,6 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.graph import parts
@@ -32,6 +31,13 @@ _EXAMPLES = {CHARUCO: "charuco:7x5:0.04:0.03:DICT_5X5_1000", CHECKER: "checker:9
 _FORMS = f"give {_EXAMPLES[CHARUCO]}, {_EXAMPLES[CHECKER]} or Kalibr's aprilgrid.yaml"
 _MOST_M = 1.0  # side of a square or tag: a larger one is in millimetres
 _MAX_COUNT = 100  # of squares, corners or tags along a side
+LEAST_VIEWS = 3  # of a camera: two of a plane fix a focal length and no more
+_LEAST_JOINT = 2  # instants at which two cameras see the board together: a single one may be wrong unnoticed
+_LEAST_CORNERS = 8  # of a view: four hold a pose without telling anything of it
+# Free about a corner of a checkerboard, in sides of a square: paper is trimmed, and windows that reach over its edge
+# pulled corners off by up to 6 px (OpenCV's photographs); 0.4 still does where 0.4 of the outer squares are left, and
+# full windows are no better than 0.019 px for 0.021 (rendered, `tests/calibrate`).
+_TRIMMED = 0.3
 Corners = tuple[np.ndarray, np.ndarray]
 """Numbers (K,) of corners of the board, and where they are, (K, 2) COLMAP's pixels."""
 
@@ -171,11 +177,11 @@ def _length(word: str, where: str) -> float:
     return value
 
 
-def detect(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
+def detect(pixels: np.ndarray, board: Board) -> Corners:
     """The corners that are seen in an image (H, W) u1; none if they are too few to hold a pose."""
     find = {CHARUCO: _find_charuco, APRILGRID: _find_aprilgrid}.get(board.kind, _find_checker)
-    numbers, xy = find(pixels, board, tuning)
-    if len(numbers) >= tuning.least_corners:
+    numbers, xy = find(pixels, board)
+    if len(numbers) >= _LEAST_CORNERS:
         places = board.points[numbers, :2]
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if spread[1] >= 0.15 * spread[0]:  # along a line they hold no pose
@@ -183,14 +189,14 @@ def detect(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
     return np.zeros(0, int), np.zeros((0, 2))
 
 
-def _find_charuco(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
+def _find_charuco(pixels: np.ndarray, board: Board) -> Corners:
     detector = _charuco_detector(board.counts, board.marker, board.dictionary, board.legacy)
     xy, numbers, _, _ = detector.detectBoard(pixels)
-    if numbers is None or xy is None or len(numbers) < tuning.least_corners:
+    if numbers is None or xy is None or len(numbers) < _LEAST_CORNERS:
         return np.zeros(0, int), np.zeros((0, 2))
     xy = xy.reshape(-1, 2)
     # OpenCV's own windows reach into the markers: 0.09 px of error where these have 0.03 (tests/calibrate).
-    return numbers.ravel().astype(int), _refined(pixels, xy, (1 - board.marker) / 2 * _nearest(xy), tuning)
+    return numbers.ravel().astype(int), _refined(pixels, xy, (1 - board.marker) / 2 * _nearest(xy))
 
 
 @lru_cache
@@ -206,17 +212,17 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def _find_checker(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
+def _find_checker(pixels: np.ndarray, board: Board) -> Corners:
     for effort in (0, cv2.CALIB_CB_EXHAUSTIVE):
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY | effort
         found, xy = cv2.findChessboardCornersSB(pixels, board.counts, flags=flags)
         if found:
             xy = xy.reshape(-1, 2)
-            return np.arange(len(board.points)), _refined(pixels, xy, tuning.trimmed * _nearest(xy), tuning)
+            return np.arange(len(board.points)), _refined(pixels, xy, _TRIMMED * _nearest(xy))
     return np.zeros(0, int), np.zeros((0, 2))
 
 
-def _find_aprilgrid(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Corners:
+def _find_aprilgrid(pixels: np.ndarray, board: Board) -> Corners:
     quads, tags, _ = _tag_detector(board.dictionary).detectMarkers(pixels)
     inside = [] if tags is None else [(int(t), q) for t, q in zip(tags.ravel(), quads) if t < len(board.points) // 4]
     if not inside:
@@ -224,17 +230,16 @@ def _find_aprilgrid(pixels: np.ndarray, board: Board, tuning: BoardTuning) -> Co
     numbers = (4 * np.array([tag for tag, _ in inside])[:, None] + np.arange(4)).ravel()
     sides = [np.linalg.norm(q.reshape(4, 2) - np.roll(q.reshape(4, 2), 1, axis=0), axis=1).min() for _, q in inside]
     bit = float(min(sides)) / 10  # along the side of a tag, with its borders
-    return numbers, _refined(pixels, np.concatenate([q.reshape(4, 2) for _, q in inside]), bit * 2, tuning)
+    return numbers, _refined(pixels, np.concatenate([q.reshape(4, 2) for _, q in inside]), bit * 2)
 
 
 def _nearest(xy: np.ndarray) -> float:
-    """Smallest distance between two corners (K, 2)."""
     return float(cKDTree(xy).query(xy, 2)[0][:, 1].min())
 
 
-def _refined(pixels: np.ndarray, xy: np.ndarray, free_px: float, tuning: BoardTuning) -> np.ndarray:
+def _refined(pixels: np.ndarray, xy: np.ndarray, free_px: float) -> np.ndarray:
     """Corners (K, 2), each where black and white meet like on a checkerboard; about each so much is free of others."""
-    return refined(pixels, xy, free_px, tuning.refine_share, tuning.refine_px)
+    return refined(pixels, xy, free_px, 0.8, (2, 11))  # half a window: in what is free, and its bounds in pixels
 
 
 @lru_cache
@@ -244,17 +249,9 @@ def _tag_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     return cv2.aruco.ArucoDetector(_dictionary(dictionary), parameters)
 
 
-LEAST_VIEWS = 3  # of a camera: two of a plane fix a focal length and no more
-_LEAST_JOINT = 2  # instants at which two cameras see the board together: a single one may be wrong unnoticed
-
-
-# --- what the cameras see of a board ---------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class CameraImages:
-    """A camera by the folder of its images: name, folder ("" = all images), COLMAP's model, width and height in
-    pixels, number of images."""
+    """A camera by the folder of its images ("" = all): COLMAP's model, width and height in pixels, number of images."""
 
     name: str
     folder: str
@@ -265,8 +262,7 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class View:
-    """What a camera sees of the board at an instant (numbers of both): ``corners`` (K,) of the board at ``xy`` (K, 2),
-    COLMAP's pixels."""
+    """What a camera (number) sees of the board at an instant: ``corners`` (K,) at ``xy`` (K, 2), COLMAP's pixels."""
 
     camera: int
     instant: int

@@ -12,9 +12,17 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from tiegraph.calibrate.adjust import Adjusted, State, adjust, build, place_boards, problem, view_residuals
+from tiegraph.calibrate.adjust import (
+    LEAST_SCALE_PX,
+    Adjusted,
+    State,
+    adjust,
+    build,
+    place_boards,
+    problem,
+    view_residuals,
+)
 from tiegraph.calibrate.board import Observations
-from tiegraph.calibrate.tuning import AdjustTuning, Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS
@@ -50,9 +58,9 @@ PLACE = ("x m", "y m", "z m")
 TURN = ("turn x deg", "turn y deg", "turn z deg")
 
 
-def precision(done: Adjusted, tuning: AdjustTuning) -> Precision:
+def precision(done: Adjusted) -> Precision:
     """Sigmas and correlations at the adjusted state, boards eliminated instant by instant."""
-    normal, scatter, redundancy = _normal(done, tuning)
+    normal, scatter, redundancy = _normal(done)
     root = np.sqrt(np.diag(normal) + 1e-300)
     # Of a parameter's own stiffness: one that no view holds gets a huge sigma, not a singular matrix
     inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-14 * np.eye(len(root))) / np.outer(root, root)
@@ -66,13 +74,13 @@ def precision(done: Adjusted, tuning: AdjustTuning) -> Precision:
     return Precision(parameters(done.state), sigma, correlation)
 
 
-def _normal(done: Adjusted, tuning: AdjustTuning) -> tuple[np.ndarray, np.ndarray, float]:
+def _normal(done: Adjusted) -> tuple[np.ndarray, np.ndarray, float]:
     """Normal matrix (P, P) of the shared parameters, scatter (P, P) of the instants' gradients, and by how much more
     observations than redundant ones there are."""
     import pyceres
 
     model = build(done.seen, done.state)
-    adjuster = problem(model, tuning, max(CAUCHY_SIGMAS * done.sigma_px, tuning.least_scale_px))
+    adjuster = problem(model, max(CAUCHY_SIGMAS * done.sigma_px, LEAST_SCALE_PX))
     keep: list[Any] = [model.camera(k + 1) for k in range(len(done.state.cameras))]
     sensors: dict[Any, Any] = dict(model.rigs[1].non_ref_sensors.items())
     ordered = sorted(sensors, key=lambda s: s.id)
@@ -155,12 +163,12 @@ class Verdict:
     advice: tuple[str, ...]
 
 
-def judge(done: Adjusted, tuning: Tuning) -> Verdict:
+def judge(done: Adjusted) -> Verdict:
     """Sigmas, cross-validation, coverage and advice.
 
     Raises ReconstructionError if the views leave a focal length open.
     """
-    exact = precision(done, tuning.adjust)
+    exact = precision(done)
     # Largest angle, degrees, between the board's normal and the line of sight to its middle, of each camera
     tilts = [0.0] * len(done.seen.cameras)
     for view in done.seen.views:
@@ -177,7 +185,7 @@ def judge(done: Adjusted, tuning: Tuning) -> Verdict:
                 f"{100 * share:.2g} %. The board was tilted by {tilts[number]:.0f} degrees at most against the line of "
                 "sight: take views with 30 to 45 degrees, to all four sides, and near ones that fill the image"
             )
-    inside, held_out = view_residuals(done.seen, done.state), held_out_residuals(done, tuning)
+    inside, held_out = view_residuals(done.seen, done.state), held_out_residuals(done)
     cameras = []
     for number, images in enumerate(done.seen.cameras):
         own = [k for k, view in enumerate(done.seen.views) if view.camera == number]
@@ -200,18 +208,18 @@ def _rms(found: list[np.ndarray]) -> float:
     return float(np.sqrt(np.nanmean(np.concatenate(found) ** 2)))
 
 
-def held_out_residuals(done: Adjusted, tuning: Tuning) -> list[np.ndarray]:
+def held_out_residuals(done: Adjusted) -> list[np.ndarray]:
     """(K, 2) residuals of every view from cameras and rig that were adjusted without its instant, to which only the
     board's place was fitted, pixels."""
     out: dict[str, np.ndarray] = {}
-    scale = max(CAUCHY_SIGMAS * done.sigma_px, tuning.adjust.least_scale_px)
+    scale = max(CAUCHY_SIGMAS * done.sigma_px, LEAST_SCALE_PX)
     instants = done.seen.instants()
     for fold in range(min(5, len(instants))):
         held = set(instants[fold::5])
         kept, asked = done.seen.among(set(instants) - held), done.seen.among(held)
-        found = adjust(kept, done.state.at(kept.instants()), tuning.adjust, (scale,))
+        found = adjust(kept, done.state.at(kept.instants()), (scale,))
         boards = {k: done.state.rig_from_board[k] for k in held}
-        placed = place_boards(asked, State(found.cameras, found.sensor_from_rig, boards), tuning.adjust, scale)
+        placed = place_boards(asked, State(found.cameras, found.sensor_from_rig, boards), scale)
         out |= {v.name: r for v, r in zip(asked.views, view_residuals(asked, placed))}
     return [out[view.name] for view in done.seen.views]
 

@@ -17,24 +17,11 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import png
-from tiegraph.scene.rig import pixel_rays
+from tiegraph.scene.rig import Sensor, pixel_rays
 from tiegraph.scene.targets import CENTRE
 from tiegraph.text import csv_text, one_line
 
 _GRID = 21  # rays along each side of an image
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """One camera: COLMAP's, sensor_from_rig (4, 4), None = unknown; sigmas of the focal length (px), of each axis of
-    the turn (degrees) and each coordinate of the place (m), None = not said."""
-
-    name: str
-    camera: pycolmap.Camera | None
-    sensor_from_rig: np.ndarray | None = None
-    focal_sigma_px: float | None = None
-    sigma_deg: float | None = None
-    sigma_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -61,9 +48,8 @@ class Difference:
         return max(told, default=float("nan"))
 
 
-def differences(first: Sequence[Calibration], second: Sequence[Calibration]) -> tuple[Difference, ...]:
-    """Of the cameras that both have, by name, in the order of the first. Raises InputError if there is none, or if a
-    camera has images of another shape."""
+def differences(first: Sequence[Sensor], second: Sequence[Sensor]) -> tuple[Difference, ...]:
+    """Of the cameras that both have, by name. Raises InputError if there is none, or images have another shape."""
     of = {c.name: c for c in second}
     both = [(a, of[a.name]) for a in first if a.name in of]
     if len(first) == len(second) == 1:
@@ -74,7 +60,7 @@ def differences(first: Sequence[Calibration], second: Sequence[Calibration]) -> 
     return tuple(_difference(a, b, both[0]) for a, b in both)
 
 
-def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibration]) -> Difference:
+def _difference(a: Sensor, b: Sensor, base: tuple[Sensor, Sensor]) -> Difference:
     focal = lens = focal_sigmas = turn = place = turn_sigmas = place_sigmas = float("nan")
     if a.camera is not None and b.camera is not None:
         like, other = a.camera, copy.copy(b.camera)
@@ -87,7 +73,7 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
             other.rescale(like.width, like.height)
         focal = other.mean_focal_length() / a.camera.mean_focal_length() - 1
         lens = _lens_px(a.camera, other)
-        sigma = _both(a.focal_sigma_px, b.focal_sigma_px)
+        sigma = _both(a.camera_sigma_px, b.camera_sigma_px)
         if sigma:
             focal_sigmas = abs(focal) * a.camera.mean_focal_length() / sigma
     one, two = _from_first(a, base[0]), _from_first(b, base[1])
@@ -108,7 +94,7 @@ def _difference(a: Calibration, b: Calibration, base: tuple[Calibration, Calibra
     )
 
 
-def _from_first(camera: Calibration, first: Calibration) -> np.ndarray | None:
+def _from_first(camera: Sensor, first: Sensor) -> np.ndarray | None:
     if camera.sensor_from_rig is None or first.sensor_from_rig is None:
         return None
     return np.asarray(camera.sensor_from_rig @ transforms.invert(first.sensor_from_rig))
@@ -265,7 +251,6 @@ def residual_picture(done: Adjusted, camera: int) -> bytes:
     return png(figure)
 
 
-# --- calibrations for other programs ----------------------------------------------------------------------------------
 # Kalibr's camchain.yaml and OpenCV's YAML, the inverse of what ``scan`` reads. Both count pixels from the centre of the
 # first one, and hold fewer lenses than COLMAP: polynomials of the radius with two tangential terms, and Kannala's of
 # the angle.
@@ -274,17 +259,9 @@ def residual_picture(done: Adjusted, camera: int) -> bytes:
 _RADTAN_TERMS = 4  # of Kalibr: k1 k2 p1 p2
 
 
-@dataclass(frozen=True)
-class Lens:
-    """A camera in OpenCV's terms: fx, fy, cx, cy, and k1 k2 p1 p2 [k3 k4 k5 k6], of a fisheye k1 k2 k3 k4."""
-
-    middle: tuple[float, ...]
-    terms: tuple[float, ...]
-    fisheye: bool
-
-
-def lens_of(camera: pycolmap.Camera) -> Lens | None:
-    """A camera in OpenCV's terms; None if its model has none."""
+def lens_of(camera: pycolmap.Camera) -> tuple[tuple[float, ...], tuple[float, ...], bool] | None:
+    """A camera in OpenCV's terms: fx, fy, cx, cy; k1 k2 p1 p2 [k3 k4 k5 k6], of a fisheye k1 k2 k3 k4; whether it is
+    one. None if its model has no such form."""
     focal = [camera.params[k] for k in camera.focal_length_idxs()]
     centre = (camera.principal_point_x - CENTRE, camera.principal_point_y - CENTRE)
     middle = tuple(float(v) for v in (focal[0], focal[-1], *centre))
@@ -294,7 +271,7 @@ def lens_of(camera: pycolmap.Camera) -> Lens | None:
     if camera.model.name not in radial | angular:
         return None
     terms += [0.0] * (_RADTAN_TERMS - len(terms))
-    return Lens(middle, tuple(terms), camera.model.name in angular)
+    return middle, tuple(terms), camera.model.name in angular
 
 
 def opencv_yaml(camera: pycolmap.Camera) -> str | None:
@@ -302,13 +279,13 @@ def opencv_yaml(camera: pycolmap.Camera) -> str | None:
     lens = lens_of(camera)
     if lens is None:
         return None
-    fx, fy, cx, cy = lens.middle
+    (fx, fy, cx, cy), terms, fisheye = lens
     storage = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", camera.width)
     storage.write("image_height", camera.height)
-    storage.write("fisheye_model", int(lens.fisheye))
+    storage.write("fisheye_model", int(fisheye))
     storage.write("camera_matrix", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
-    storage.write("distortion_coefficients", np.array(lens.terms)[:, None])
+    storage.write("distortion_coefficients", np.array(terms)[:, None])
     return str(storage.releaseAndGetString())
 
 
@@ -317,17 +294,18 @@ def kalibr_yaml(cameras: Sequence[pycolmap.Camera], sensor_from_rig: np.ndarray)
     lines: list[str] = []
     for number, camera in enumerate(cameras):
         lens = lens_of(camera)
-        if lens is None or len(lens.terms) > _RADTAN_TERMS:
+        if lens is None or len(lens[1]) > _RADTAN_TERMS:
             return None
+        middle, terms, fisheye = lens
         lines.append(f"cam{number}:")
         if number:
             chain = sensor_from_rig[number] @ invert(sensor_from_rig[number - 1])
             lines += ["  T_cn_cnm1:", *(f"  - {_list(row)}" for row in chain)]
         lines += [
             "  camera_model: pinhole",
-            f"  distortion_model: {'equidistant' if lens.fisheye else 'radtan'}",
-            f"  distortion_coeffs: {_list(lens.terms)}",
-            f"  intrinsics: {_list(lens.middle)}",
+            f"  distortion_model: {'equidistant' if fisheye else 'radtan'}",
+            f"  distortion_coeffs: {_list(terms)}",
+            f"  intrinsics: {_list(middle)}",
             f"  resolution: [{camera.width}, {camera.height}]",
         ]
     return "\n".join(lines) + "\n"

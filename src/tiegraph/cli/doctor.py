@@ -41,9 +41,11 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "memory", f"{psutil.virtual_memory().total / 2**30:.1f} GiB"
     yield "disk", _disk(Path.cwd)
     yield "disk, temporary files", _disk(lambda: Path(tempfile.gettempdir()))
-    yield "native kernels", _kernels()
+    none = "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
+    yield "native kernels", f"{', '.join(kernels())} (the fastest first)" if kernels() else none
     yield "descriptor kernels", ", ".join(nearest.kernels()) or "not built: NumPy finds the nearest descriptors"
-    yield "GPU", _gpu()
+    device = cuda.device_name()
+    yield "GPU", f"not used: {cuda.reason()}" if device is None else f"{device}: depth maps are matched on it"
     yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"
     yield "ONNX Runtime", _optional("onnxruntime", "onnx", "--masks.source model, --features.engine onnx")
     yield "PROJ grids", _grids()
@@ -63,20 +65,6 @@ def _disk(place: Callable[[], Path]) -> str:
     except OSError as error:
         return f"cannot be read ({error.strerror}): work in another folder"
     return f"{room.free / 2**30:.1f} GiB free of {room.total / 2**30:.1f} GiB ({folder})"
-
-
-def _kernels() -> str:
-    found = kernels()
-    if found:
-        return f"{', '.join(found)} (the fastest first)"
-    return "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
-
-
-def _gpu() -> str:
-    name = cuda.device_name()
-    if name is not None:
-        return f"{name}: depth maps are matched on it"
-    return f"not used: {cuda.reason()}"
 
 
 def _optional(package: str, extra: str, use: str) -> str:

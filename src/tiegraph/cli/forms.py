@@ -26,9 +26,6 @@ from tiegraph.scene.scene import Scene
 _ROWS = 20  # weak links shown; the report has all
 
 
-# --- masks: how good they are ----------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Masks(run.Common):
     compare: Path | None = None  # masks takes it
@@ -107,9 +104,6 @@ def _labels(classes: tuple[str, ...]) -> dict[str, int]:
         raise InputError(f"--classes {' '.join(classes)}: give name=label, such as sky=0 water=1 platform=2") from None
 
 
-# --- network: is anything missing, on site ----------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Network(run.Common):
     coverage: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False  # network takes it
@@ -161,8 +155,6 @@ def _show_coverage(project: Project, as_json: bool) -> int:
 def _told(found: Coverage) -> dict[str, Any]:
     return {"sound": found.sound, **found.counts, "weak_links": found.table}
 
-
-# --- evaluate: poses alone, or two clouds -----------------------------------------------------------------------------
 
 _OTHERS = (
     "\n\nOr the poses of a run to georef, without its cloud: tiegraph evaluate OUT POSES. Or two point clouds: "
@@ -232,9 +224,6 @@ def evaluate(arguments: list[str]) -> int:
     for text in result.get("contradictions", ()):
         say(f"contradiction: {text}")
     return 0
-
-
-# --- report: in another language, and printed to a PDF ---------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,7 @@ _PYDANTIC = (  # what it adds to a message that says enough
 def options_of(
     function: Callable[..., Any], program: str, arguments: list[str], page: str = HELP[-1], **how: Any
 ) -> Any:
-    """What ``function``, or a class of options, makes of the arguments, by tyro. Raises SettingsError for those it does
-    not take.
+    """What ``function``, or a class of options, makes of the arguments, by tyro. Raises SettingsError for wrong ones.
 
     ``page``: the argument that shows all options of the verb.
     """

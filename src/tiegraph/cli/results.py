@@ -162,9 +162,6 @@ class Volume:
         return 0
 
 
-# --- compare, which has a form for each of three flags ---------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Compare:
     """Two or more run folders side by side: times, pairs, images used, points, errors.

@@ -17,7 +17,6 @@ from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.pipeline import load
-from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import SETTING_OF, STAGED, Settings
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.settings import Section
@@ -108,24 +107,22 @@ def main(arguments: list[str]) -> int:
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
     project = open_project(images, options.out, settings=given, **how, **inputs)
     if options.plan:
-        project.fetch(options.reporter())
-        return _forecast(project, options.reporter())
+        reporter = options.reporter()
+        project.fetch(reporter)
+        found = project.forecast()
+        if found is None:
+            reporter.say(
+                "the frames of videos and bags are counted by the stage scan: run --until scan, then ask again"
+            )
+            return 0
+        for line in found.lines(project.folder):
+            reporter.say(line)
+        reporter.event("forecast", **found.cost.row(), there_bytes=found.there_bytes, free_bytes=found.free_bytes)
+        return 0 if found.enough() else 1
     code = finish(project, options.until, options)
     if options.keep == "results" and (freed := project.let_go()):
         options.reporter().say(f"depth maps removed as ordered (--keep results): {freed / 1e9:.2g} GB are free again")
     return code
-
-
-def _forecast(project: Project, reporter: Reporter) -> int:
-    """Say what a run would need."""
-    found = project.forecast()
-    if found is None:
-        reporter.say("the frames of videos and bags are counted by the stage scan: run --until scan, then ask again")
-        return 0
-    for line in found.lines(project.folder):
-        reporter.say(line)
-    reporter.event("forecast", **found.cost.row(), there_bytes=found.there_bytes, free_bytes=found.free_bytes)
-    return 0 if found.enough() else 1
 
 
 def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, about: str = "") -> int:
@@ -155,8 +152,7 @@ def _parsed(
     folder: tuple[str, str] = ("folder", ""),
     about: str = "",
 ) -> tuple[Path, Any, Settings]:
-    """The folder, the options (of class ``kind``), and the settings before with what the command line gave. Raises
-    SettingsError.
+    """The folder, the options (of class ``kind``), and the settings with what was given. Raises SettingsError.
 
     ``sections`` of the settings are taken and shown; ``folder``: its name and what it is; ``about`` the verb.
     """

@@ -119,7 +119,7 @@ class Calibrate(Talk):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("rig.toml")
     """The rig file to write, with a folder of its name beside it; neither may be there."""
     tuning: Path | None = None
-    """A file with other constants: tables [tuning.calibrate] and [tuning.scan]."""
+    """A file with other constants: the table [tuning.scan]."""
     pool: str = "local"
     """Where corners are looked for: serial, local, local:<workers>."""
     settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = CalibrateSettings()
@@ -147,7 +147,7 @@ class Plan:
 
     request: Annotated[PlanRequest, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes] = PlanRequest()
     tuning: Path | None = None
-    """A file with other constants: tables [tuning.plan], [tuning.scan] and [tuning.sfm]."""
+    """A file with other constants: tables [tuning.scan] and [tuning.sfm]."""
     json: bool = False
     """One JSON object on standard output instead of tables."""
 

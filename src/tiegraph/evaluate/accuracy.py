@@ -112,8 +112,7 @@ class Stated:
 
 
 def in_layers(stated: Stated, measured: Iterable[Figure]) -> Accuracy:
-    """All figures of a run; ``measured``: those of its references. Layers in their order, what is predicted first, then
-    what is independent."""
+    """All figures of a run, ``measured``: of its references; layers in order, predicted first, then independent."""
     found = {f.key: f for f in (*_own(stated), *measured)}
     unit = "m" if stated.predicted.metric else "units"
     figures = tuple(found[key] for key in _NOT if key in found)

@@ -20,8 +20,7 @@ _ROUNDING_PX = (2 / 12) ** 0.5  # standard deviation of a uniform rounding to wh
 
 @dataclass(frozen=True)
 class Backprojection:
-    """Result over all images: rmse_m (eq. 6), points N counted over all images, the error that rounding alone
-    predicts."""
+    """Over all images: rmse_m (eq. 6), points N counted, the error that rounding alone predicts."""
 
     rmse_m: float
     points: int

@@ -185,10 +185,9 @@ def _number(value: float) -> float | None:
 def stretch(scene: Scene, centres: np.ndarray, images: int) -> np.ndarray:
     """Numbers (K,), increasing, of the images of a block of about so many: whole frames, the nearest to the middle one.
 
-    ``centres``: (F, 3) places of the frames, NaN = not known. A frame without a place stands where the next one with
-    a place does in the order of its pass (loose photographs: of their names), so that what was not registered is in
-    the block too: to leave it out would flatter whoever is judged. The middle is that of the longest pass.
-    Raises ValueError if no frame has a place.
+    ``centres``: (F, 3) places of the frames, NaN = not known. A frame without a place stands where the next one with a
+    place does in the order of its pass (loose photographs: of their names), so that what was not registered is in the
+    block too. The middle is that of the longest pass. Raises ValueError if no frame has a place.
     """
     known = np.all(np.isfinite(centres), axis=1)
     if not known.any():

@@ -96,8 +96,7 @@ def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene, max_gap_s: float) -> tuple[PoseMatch, str]:
-    """The model's poses beside the reference's, and a sentence on what was matched. Poses in time are interpolated over
-    ``max_gap_s`` at most.
+    """The model's poses beside the reference's, interpolated over ``max_gap_s`` at most, and what was matched in words.
 
     Raises InputError when fewer than three poses have a reference.
     """

@@ -25,7 +25,7 @@ from tiegraph.evaluate.trajectory import (
     evaluate_trajectory,
     registered_metrics,
 )
-from tiegraph.evaluate.tuning import JudgeTuning, Tuning
+from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
@@ -34,6 +34,8 @@ from tiegraph.scene.evidence import RARELY, fits_better
 from tiegraph.scene.results import Figure, Metric, metrics_to_dict
 from tiegraph.scene.scene import Scene
 
+_WHOLE = 0.7  # share of the images registered: a torn or thin model may be a mirror image itself
+_COUNTED = 6  # poses at most in the test of what explains an error: errors of neighbours are alike
 _SAMPLE = 4_000_000  # points of the cloud that are projected back: bounds memory
 
 
@@ -102,12 +104,12 @@ def evaluate_survey(
     if settings.reference is not None:
         trajectory = _trajectory(found, scene, made, model, settings, tuning, stated.predicted)
     if settings.reference_cloud is not None and cloud is not None:
-        alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
+        alignment, how = _alignment(settings, trajectory)
         truth, how = _truth(settings.reference_cloud, settings, made.origin, alignment, how)
         judged = _judged(scene, made, model, truth, settings, tuning, alignment)
         figure = cloud_figure(judged.nearest, _reach(judged), stated.predicted, alignment is not None)
         found.add(judged, f"Reference cloud {settings.reference_cloud.name}, {how}. {judged.notes()}", [figure])
-        found.contradictions += against_cloud(figure, tuning.judge)
+        found.contradictions += against_cloud(figure)
     if passes is not None:
         found.add(passes, passes.note(), passes_figure(passes, stated.predicted))
     accuracy = in_layers(stated, found.figures)
@@ -142,7 +144,7 @@ def _trajectory(
     figures = pose_figures(match, result, predicted, tuning.trajectory)
     registered = float(made.images.registered.mean()) if len(scene) else 0.0
     found.add(result, f"Reference poses {path.name}: {said}.", figures)
-    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(scene), registered)
+    found.contradictions += against_poses(match, figures, metric, _step_s(scene), registered)
     if not metric:
         found.notes.append("Nothing told the model's scale: the reference does, and no error of it is stated.")
     if comparable:
@@ -212,9 +214,7 @@ def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
     return None if settings.reference_origin is None else Origin(*settings.reference_origin)
 
 
-def _alignment(
-    settings: EvaluateSettings, trajectory: TrajectoryError | None, unscaled_share: float
-) -> tuple[Similarity | None, str]:
+def _alignment(settings: EvaluateSettings, trajectory: TrajectoryError | None) -> tuple[Similarity | None, str]:
     if settings.alignment == "none":
         return None, "compared as it is, without alignment"
     if trajectory is None:
@@ -222,38 +222,30 @@ def _alignment(
     off = abs(trajectory.sim3.alignment.scale - 1)
     if settings.alignment == "similarity":
         return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
-    if off < unscaled_share:
+    if off < 0.1:  # further off it was never metric
         return trajectory.se3.alignment, "after a rigid alignment by the matched poses"
     how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
     return trajectory.sim3.alignment, how
-
-
-# --- references against what was predicted -------------------------------------------------------------------------
-
-
-_AXES = "xyz"
 
 
 def against_poses(
     match: PoseMatch,
     figures: Sequence[Figure],
     metric: bool,
-    tuning: JudgeTuning,
     step_s: float = float("nan"),
     registered: float = 1.0,
 ) -> list[str]:
     """Sentences about reference poses (K) that the model contradicts by ``figures`` (``accuracy.pose_figures``).
 
-    ``metric``: the model's own scale is known; ``step_s``: the frames' interval, to say a lag in seconds;
-    ``registered``: share of the images that are.
+    ``metric``: the model's own scale is known; ``step_s``: between frames; ``registered``: share of the images.
     """
     by_key = {f.key: f for f in figures}
     whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")
     differ = "the reference poses and the model differ by"
-    if beyond(whole, tuning):
-        why = _explained(match, metric, tuning, step_s, registered >= tuning.whole)
+    if beyond(whole):
+        why = _explained(match, metric, step_s, registered >= _WHOLE)
         return [f"{differ} {_said(whole, metric)}: {why or 'one of the two is wrong by more than it says'}"]
-    if placed is not None and beyond(placed, tuning):
+    if placed is not None and beyond(placed):
         east, north, up = np.mean(match.estimate[:, :3, 3] - match.reference[:, :3, 3], axis=0)
         off = f"{east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
         text = "on the Earth, though their shapes agree: the model stands"
@@ -261,16 +253,16 @@ def against_poses(
     return []
 
 
-def against_cloud(figure: Figure, tuning: JudgeTuning) -> list[str]:
+def against_cloud(figure: Figure) -> list[str]:
     """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted."""
     why = "another frame or datum, or a place that has changed"
     text = f"the reference cloud and the cloud differ by {_said(figure, True)} (median): {why}"
-    return [text] if beyond(figure, tuning) else []
+    return [text] if beyond(figure) else []
 
 
-def beyond(figure: Figure, tuning: JudgeTuning) -> bool:
+def beyond(figure: Figure) -> bool:
     """Whether what was measured contradicts what was predicted; never where one of them is not known."""
-    return figure.measured > tuning.beyond_sigmas * figure.predicted
+    return figure.measured > 3 * figure.predicted
 
 
 def _said(figure: Figure, metric: bool) -> str:
@@ -278,10 +270,10 @@ def _said(figure: Figure, metric: bool) -> str:
     return ", predicted ".join(values)
 
 
-def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float, whole: bool) -> str:
+def _explained(match: PoseMatch, metric: bool, step_s: float, whole: bool) -> str:
     """What of the reference would explain the difference better than chance does, in words; "" if nothing does."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
-    actual, free = _left(est, ref, metric), 3 * min(len(est), tuning.counted) - 7  # unknowns of a similarity
+    actual, free = _left(est, ref, metric), 3 * min(len(est), _COUNTED) - 7  # unknowns of a similarity
     if metric and fits_better(actual, _left(est, ref, False), free):
         return f"the reference is {umeyama(est, ref).scale:.4g} times as large as the model, {RARELY}"
     left, why = min(_hypotheses(match, metric, step_s, whole))
@@ -296,7 +288,7 @@ def _hypotheses(match: PoseMatch, metric: bool, step_s: float, whole: bool) -> I
         yield _left(est, -ref, metric), text
     for axis in range(3):
         left, factor = _axis_scale(est, ref, axis, metric)
-        text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
+        text = f"the reference's {'xyz'[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
         yield left, text
     yield _lag(match, metric, step_s)
 

@@ -13,6 +13,7 @@ from tiegraph.scene.colmapmodel import Registration
 from tiegraph.scene.results import Metric
 
 _NAN = float("nan")
+_MIN_DRIFT_M = 5.0  # travelled: below it a drift per 100 m means nothing
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def evaluate_trajectory(
         within=within(est, ref, tuning.within_m),
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),
-        yaw_drift_deg_per_100m=yaw_drift(match, aligned, tuning.min_drift_m),
+        yaw_drift_deg_per_100m=yaw_drift(match, aligned),
         parts=tuple(_by_part(match, aligned, errors_m, distances_m, tuning)),
     )
 
@@ -219,16 +220,16 @@ def relative_error(match: PoseMatch, distance_m: float, max_stretch: float) -> R
     )
 
 
-def yaw_drift(match: PoseMatch, aligned: np.ndarray, min_drift_m: float) -> float:
+def yaw_drift(match: PoseMatch, aligned: np.ndarray) -> float:
     """Median over the sequences of |slope| of the heading error against the travelled distance, degrees per 100 m.
 
     Heading error: rotation about the reference world's third axis (up) of R_est R_ref^T. NaN when no sequence of
-    three poses is at least ``min_drift_m`` long.
+    three poses is at least 5 m long.
     """
     slopes = []
     for rows in match.sequences():
         path = path_length(match.reference[rows, :3, 3])
-        if len(rows) < 3 or path[-1] < min_drift_m:
+        if len(rows) < 3 or path[-1] < _MIN_DRIFT_M:
             continue
         turn = aligned[rows, :3, :3] @ np.swapaxes(match.reference[rows, :3, :3], 1, 2)
         yaw = np.degrees(np.unwrap(Rotation.from_matrix(turn).as_rotvec()[:, 2]))
@@ -254,7 +255,7 @@ def _by_part(
                 errors_m=errors_m[rows],
                 path_m=float(max(ways, default=0.0)),
                 relative=tuple(relative_error(part, d, tuning.max_stretch) for d in distances_m),
-                yaw_drift_deg_per_100m=yaw_drift(part, aligned[rows], tuning.min_drift_m),
+                yaw_drift_deg_per_100m=yaw_drift(part, aligned[rows]),
             )
 
 

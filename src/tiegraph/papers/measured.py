@@ -58,8 +58,7 @@ def _cpu_s() -> float:
 
 
 def pairs_of(database: Path) -> dict[str, int]:
-    """Number of pairs in COLMAP's database with raw matches, of those with inliers of two-view geometry (empty rows do
-    not count), and of all these inliers."""
+    """Pairs in COLMAP's database with raw matches, those with inliers of two-view geometry, and all these inliers."""
     count = "SELECT {} FROM {} WHERE rows > 0"
     with closing(sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)) as opened:
         asked = {

@@ -13,11 +13,10 @@ with its own world for each pass, serve the choice of pairs and never constrain 
 """
 
 from contextlib import suppress
-from functools import partial
 from importlib import import_module
 from typing import Any
 
-from tiegraph.project.stages import Outcome, Stage, needed
+from tiegraph.project.stages import Stage, needed
 
 __all__ = ["MESH", "SHOTS", "STAGES", "table"]
 
@@ -32,10 +31,6 @@ def _module(stage: str) -> Any:
     return import_module(f"tiegraph.pipeline.{_ELSEWHERE.get(stage, stage)}")
 
 
-def _glue(name: str, run: Any) -> Outcome:
-    return getattr(_module(name), name)(run)  # type: ignore[no-any-return]
-
-
 def load(until: str | None = None) -> None:
     """Import the glue of all stages up to and including one, as far as possible: a stage reports missing parts."""
     for stage in needed(table(until), until):
@@ -44,7 +39,7 @@ def load(until: str | None = None) -> None:
 
 
 def _stage(name: str, *what: Any, **more: Any) -> Stage:
-    return Stage(name, partial(_glue, name), *what, **more)
+    return Stage(name, lambda run: getattr(_module(name), name)(run), *what, **more)
 
 
 # SQLite's files beside the database while it works.

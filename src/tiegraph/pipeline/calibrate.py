@@ -30,7 +30,6 @@ from tiegraph.calibrate.board import (
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.summary import (
-    Calibration,
     Difference,
     correlation_csv,
     differences,
@@ -41,7 +40,6 @@ from tiegraph.calibrate.summary import (
     rig_sigmas,
     summary,
 )
-from tiegraph.calibrate.tuning import BoardTuning
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.pool import map_items, open_pool
@@ -81,14 +79,13 @@ def calibrate(
     contradict each other or leave a focal length open; then nothing is written.
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
-    tuning = tunings.calibrate
     folder = _folder_beside(out)
     pattern = read_board(board)
     cameras, files, found = _read_folder(images, settings, pool, reporter, tunings)
     check_wide(settings.wide, [c.name for c in cameras])
     with reporter.stage("corners"):
         reporter.total(len(files))
-        corners = _map(pool, reporter, _corners, files, pattern, tuning.board)
+        corners = _map(pool, reporter, _corners, files, pattern)
     views = tuple(
         View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
         for f, (numbers, xy) in zip(files, corners)
@@ -101,8 +98,8 @@ def calibrate(
         if names:
             unread.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
     check_views(seen)
-    done = adjust_robustly(seen, start(seen, tuning.adjust), tuning.adjust, settings.board_sigma)
-    verdict = judge(done, tuning)
+    done = adjust_robustly(seen, start(seen), settings.board_sigma)
+    verdict = judge(done)
     constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
     notes = (board, *constants, *found, *unread)
     _write(out, done, verdict, notes, _rig(done, verdict, settings.wide))
@@ -112,9 +109,6 @@ def calibrate(
     for text in (*unread, *left_out, *verdict.advice, *scale, *written):
         reporter.say(text)
     return verdict
-
-
-# --- the images -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -248,17 +242,11 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
         return map_items(executor, workers, function, items, args, reporter.advance)  # type: ignore[arg-type]
 
 
-# --- the corners ----------------------------------------------------------------------------------------------------
-
-
-def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
+def _corners(file: _File, board: Board) -> Corners:
     found = opened(file.path.read_bytes(), file.path.suffix)
     pixels = eight_bit(found.pixels(), file.levels)
     grey = pixels if pixels.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2GRAY)
-    return detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board, tuning)
-
-
-# --- what is written ------------------------------------------------------------------------------------------------
+    return detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board)
 
 
 def _folder_beside(out: Path) -> Path:
@@ -325,9 +313,6 @@ def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
     return Rig("rig" if len(sensors) > 1 else "camera", tuple(sensors), synchronised=len(sensors) > 1)
 
 
-# --- the calibration that a run found ------------------------------------------------------------------------------
-
-
 def self_calibration(
     folder: Path,
     out: Path,
@@ -378,17 +363,17 @@ def _sigmas(value: float) -> str:
     return f" ({value:.1f} sigmas)" if np.isfinite(value) else ""
 
 
-def _calibration(sensor: SensorSpec) -> Calibration:
+def _calibration(sensor: SensorSpec) -> Sensor:
     camera = None
     if sensor.model is not None and sensor.params is not None and sensor.size is not None:
         width, height = sensor.size
         camera = pycolmap.Camera(model=sensor.model, width=width, height=height, params=list(sensor.params))
     pose = sensor.body_from_sensor
-    return Calibration(
+    return Sensor(
         name=sensor.name,
         camera=camera,
         sensor_from_rig=None if pose is None else np.linalg.inv(pose),
-        focal_sigma_px=sensor.camera_sigma_px,
+        camera_sigma_px=sensor.camera_sigma_px,
         sigma_deg=sensor.sigma_deg,
         sigma_m=sensor.sigma_m,
     )

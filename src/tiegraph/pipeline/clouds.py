@@ -1,14 +1,10 @@
-"""Glue of comparisons of clouds: two files; two surveys of one place (`compare --epochs`), changes between them that
-exceed the uncertainty of both; two passes of one run (`compare --passes`), without any reference.
+"""Glue of comparisons of clouds: two files; two surveys of one place (`compare --epochs`); two passes of one run
+(`compare --passes`), each fused of the depth maps of its own images.
 
-The clouds of two passes are each fused of the depth maps of its own images. The comparison shows how well both passes
-agree: poses across the survey, and depth. It does not show errors common to both: the place and scale of the model, the
-cameras, and wrong matches in both; and a depth map of one pass may have been confirmed by images of the other. The
-stage ``cloud`` compares some depth maps for the report (``write_agreement``), `compare --passes` all of them.
-
-To keep the first cheap (5.7 CPU s on the example survey, 37 and 36 depth maps), the passes are not filtered, which
-M3C2 does not need (mean places in cylinders are hardly affected by 3 % of strays), their voxels are those of the cloud,
-and 5000 core points are enough. Half of the depth maps would leave one of the example's sections without any.
+The stage ``cloud`` compares some depth maps for the report. To keep that cheap (5.7 CPU s on the example survey, 37 and
+36 depth maps), the passes are not filtered, which M3C2 does not need (mean places in cylinders are hardly affected by
+3 % of strays), their voxels are those of the cloud, and 5000 core points are enough. Half of the depth maps would leave
+one of the example's sections without any.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -109,9 +105,6 @@ def new_folder(out: Path | None) -> Iterator[Path | None]:
         yield folder
 
 
-# --- two surveys of one place --------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Epoch:
     """A run: its cloud in its own world, the place of that, and its accuracy."""
@@ -174,7 +167,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
     with new_folder(out) as folder, scratch_folder(folder) as scratch:
         assert folder is not None
         found = m3c2_of(pair, scratch, tuning, depth_m)
-        changed = changes(found, tuning.changes)
+        changed = changes(found)
         result = _result(found, changed, pair)
         save_json(folder / "changes.json", result)
         table = changed.table(shift_of(pair.origin), len(changed.listed))
@@ -187,8 +180,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
 def m3c2_of(
     pair: Pair, scratch: Path, tuning: Tuning, depth_m: float | None = None, most: int | None = None
 ) -> Differences:
-    """The second cloud minus the first, at about ``most`` core points; ``scratch`` is an empty folder. Raises
-    InputError if they do not overlap."""
+    """The second cloud minus the first, at about ``most`` core points. Raises InputError if they do not overlap."""
     clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
     with told_of(pair.second.name):
         meeting(clouds)
@@ -330,8 +322,7 @@ def _two_largest(run: Run, scene: Scene) -> list[_Pass]:
 def _pair(
     run: Run, scene: Scene, passes: Sequence[_Pass], scratch: Path, settings: CloudSettings, mapper: Mapper
 ) -> Pair:
-    """The clouds of two passes, fused of their depth maps into ``scratch``. Raises ReconstructionError for empty
-    ones."""
+    """The clouds of two passes, fused of their depth maps. Raises ReconstructionError for empty ones."""
     clouds: list[PointSource] = []
     maps = Maps(partial(read_depth, folder=run.folder))
     for one in passes:

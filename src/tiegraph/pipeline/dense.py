@@ -77,8 +77,7 @@ def dense(run: Run) -> Outcome:
 
 
 def plan_of(run: Run) -> DensePlan:
-    """The pairs of images to match, by the model in the world; those of dependent cameras, which see none of
-    its points, within their frame."""
+    """The pairs of images to match, by the model in the world; those of dependent cameras within their frame."""
     settings, tuning, model = run.settings.dense, run.settings.tuning.dense, load_model(run.path("sparse", "world"))
     survey = whole(run)
     hanging = {survey.names[k] for k in np.flatnonzero(~carries(survey))}
@@ -140,8 +139,7 @@ def _known_pixels(name: str, folder: Path) -> int:
 
 
 def hand_over(run: Run, target: Path) -> int:
-    """The depth maps as a dense workspace of COLMAP below ``target``; their number. Raises InputError for a folder that
-    is not empty."""
+    """The depth maps as a dense workspace of COLMAP; their number. Raises InputError for a folder that is not empty."""
     must_be_empty(target)
     model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
     try:
@@ -151,12 +149,8 @@ def hand_over(run: Run, target: Path) -> int:
         raise error if isinstance(error, TiegraphError) else told from error
 
 
-def coloured(plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> Callable[[str], np.ndarray]:
-    """Colours (H, W, 3) u1 RGB of the undistorted images by name."""
-    return partial(_colours, plans=plans, images=images, settings=settings)
-
-
-def _colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
+def colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
+    """(H, W, 3) u1 RGB of an undistorted image."""
     return cv2.cvtColor(load_view(plans[name].view, images, None, settings).image_bgr, cv2.COLOR_BGR2RGB)
 
 
@@ -174,20 +168,24 @@ def cloud(run: Run) -> Outcome:
     """One cloud of all depth maps, tile by tile, as LAZ and PLY; and the agreement of two passes, if there are."""
     from tiegraph.pipeline.clouds import write_agreement  # matplotlib, which no worker of this stage needs
 
+    def mapper(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
+        run.reporter.total(len(items))
+        return run.map(function, items)
+
     plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
     scratch = run.path(".tiles")
     remove(scratch)
     scratch.mkdir(parents=True)
-    colours = coloured(plans, run.path("images"), run.settings.dense)
-    maps = Maps(partial(read_depth, folder=run.folder), colours)
+    drawn = partial(colours, plans=plans, images=run.path("images"), settings=run.settings.dense)
+    maps = Maps(partial(read_depth, folder=run.folder), drawn)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
-    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), _mapper(run))
+    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), mapper)
     sigmas = _sigmas(run, fused.clouds())
     said = accuracy_said(run, sigmas)
     notes = [*write_copc(fused.clouds, run.path(CLOUD), fused.voxel, scratch, said)]
     same_file(run.path(CLOUD), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
-    agreement = write_agreement(run, scratch, fused.voxel, _mapper(run))
+    agreement = write_agreement(run, scratch, fused.voxel, mapper)
     if agreement is not None and agreement.why_not:
         notes.append(agreement.note())
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
@@ -218,14 +216,6 @@ def accuracy_said(run: Run, sigmas: Mapping[str, float]) -> str:
     parts = [f"{name} {value:.3g} {found.unit}" for name, value in heads.items() if np.isfinite(value)]
     how = f"one standard deviation; held in the world by {found.held_by}; what was measured stands in metrics.json"
     return f"accuracy predicted: {', '.join(parts)} ({how})" if parts else ""
-
-
-def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:
-    def apply(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
-        run.reporter.total(len(items))
-        return run.map(function, items)
-
-    return apply
 
 
 _SHARP = 20_000  # longest side of an undistorted image: as large as they come

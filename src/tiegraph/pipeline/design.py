@@ -136,7 +136,6 @@ def with_accuracy(run: Run, pairs: Pairs, scene: Scene, ties: PreviewMatches) ->
 def _two_view_item(
     item: tuple[tuple[int, int], np.ndarray], folder: Path, tuning: TwoViewTuning
 ) -> tuple[float, float] | None:
-    """Of two images of the scene and their matches (M, 2)."""
     images, match = item
     scene = _checked(folder)
     a, b = (preview_of(folder, scene.names[k]) for k in images)

@@ -73,8 +73,7 @@ class _Picture:
 def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
     """Write the folder ``target`` for a program, whole or not at all; its number of images, poses or cameras.
 
-    Raises InputError for an unknown name or camera, a folder that is not empty, a full disk, and a world that is
-    not on the Earth if the format needs that.
+    Raises InputError for an unknown name or camera, a folder that is not empty, a full disk, a world not on the Earth.
     """
     choose("export", name, dict.fromkeys(EXPORTERS))
     must_be_empty(target)
@@ -98,8 +97,7 @@ def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
 
 
 def hand_out_results(run: Run, target: str | Path) -> int:
-    """Copy the files that a run is made for into a folder or to a URL; their number. Raises InputError as
-    ``hand_out``."""
+    """Copy the results of a run into a folder or to a URL; their number. Raises InputError as ``hand_out``."""
     names = files_below(run.folder, _RESULTS)
     if url := url_of(target):
         send(url, run.folder, names, run.reporter)
@@ -187,7 +185,6 @@ CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
 
 
 def _survey(run: Run) -> Survey:
-    """The survey with the images and cameras of the run."""
     ties = []
     if run.path("filter.npz").exists():
         pairs, names = pairs_of(run, "filter.npz").kept(), checked(run).names
@@ -203,7 +200,6 @@ def _survey(run: Run) -> Survey:
 
 
 def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -> Survey:
-    """Write images, masks and depth maps; the survey with their cameras and names."""
     model, lens = survey.model, exporter.lens
     assert lens is not None
     own = {key: CameraModel.of(camera) for key, camera in model.cameras.items()}

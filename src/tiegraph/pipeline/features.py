@@ -79,8 +79,7 @@ _CHUNK = 2000  # previews, after which the matches are stored: a second to some 
 def with_previews(run: Run, pairs: Pairs, ties: PreviewMatches) -> tuple[Pairs, PreviewMatches, int]:
     """The pairs and ties after previews of every kept pair without known ties, and the number of these previews.
 
-    Pairs by order, by a pair list or exhaustive ones come without previews: a method that chooses would
-    choose blindly.
+    Pairs by order, by a list or exhaustive ones come without previews: a method that chooses would be blind.
     """
     unknown = (pairs.dropped == 0) & np.isnan(pairs.score) & np.isnan(pairs.overlap)
     rows = np.flatnonzero(unknown & (ties.find(pairs.i, pairs.j) < 0))
@@ -142,7 +141,6 @@ def _to_arrays(made: dict[tuple[int, int], PreviewMatch]) -> dict[str, np.ndarra
 
 
 def _from_arrays(data: dict[str, np.ndarray]) -> dict[tuple[int, int], PreviewMatch]:
-    """Inverse of ``_to_arrays``."""
     matches = np.split(data["matches"], data["ends"][:-1])
     out = {}
     for k, (i, j) in enumerate(data["pairs"].tolist()):
@@ -165,8 +163,7 @@ def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, t
 
 
 def up_light(run: Run, scene: Scene) -> UpLight:
-    """Content of the up cameras' images: by the method that ``network.sections`` names, else by previews, masks and
-    EXIF."""
+    """Content of the up cameras' images: by the method of ``network.sections``, else by previews, masks and EXIF."""
     way = run.settings.network.sections
     papers.plug_in(papers.LIGHTS, way, LIGHTS)
     if way in LIGHTS:

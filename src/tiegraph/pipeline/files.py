@@ -7,6 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -124,8 +125,7 @@ def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
 
 
 def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
-    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and its ``reach`` (N, 2); None
-    without one."""
+    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and ``reach`` (N, 2); or None."""
     path = folder / "coarse" / "model.npz"
     if not path.exists():
         return None
@@ -184,12 +184,15 @@ def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
     return image
 
 
+@lru_cache(maxsize=6)
+def read_colours(path: Path) -> np.ndarray:
+    """Pixels (H, W, 3) of an image, BGR; the last ones are kept, for a page asks for parts of one."""
+    return read_image(path, cv2.IMREAD_COLOR)
+
+
 def read_mask(folder: Path, name: str) -> np.ndarray:
     """Mask (H, W) bool of an image, True = use."""
     return read_image(mask_path(folder, name)) > 0
-
-
-# --- the placement of the model in the world, read from the files of georef -----------------------------------------
 
 
 def world_origin(folder: Path) -> Origin | None:

@@ -38,7 +38,6 @@ from tiegraph.sfm.settings import SparseSettings
 from tiegraph.text import command
 
 TOML, CONFIG = "rig", "rig_config"
-_DIGITS = 3  # of a sigma
 
 
 @dataclass(frozen=True)
@@ -111,12 +110,9 @@ def found_run(folder: Path) -> FoundRun:
     scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
     sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
     arm = told.get("antenna_m")
-    return replace(
-        run,
-        world=load_model(world),
-        metres=Metres(scale, sigma, told["scale_source"]),
-        antenna_m=None if arm is None else tuple(arm),
-    )
+    run.world, run.metres = load_model(world), Metres(scale, sigma, told["scale_source"])
+    run.antenna_m = None if arm is None else tuple(arm)
+    return run
 
 
 def _constants(folder: Path, receipts: Receipts) -> Tunings:
@@ -236,7 +232,6 @@ def rig_of_run(rig: str | None) -> RigFile | None:
 
 
 def _found(run: FoundRun, index: int) -> Rig:
-    """A rig with the cameras, poses and sigmas of the model."""
     given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
     mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
     reference = sensor_id(1 + run.scene.first_sensor(index))
@@ -269,7 +264,6 @@ def _found(run: FoundRun, index: int) -> Rig:
 
 
 def _cameras(run: FoundRun, index: int, found: Rig) -> list[Sensor]:
-    """The sensors of a rig with the cameras of the model."""
     settings = SparseSettings(refine_intrinsics=run.receipt.get("settings", {}).get("refine_intrinsics", "auto"))
     held = believed_cameras(run.scene, settings)
     first = 1 + run.scene.first_sensor(index)
@@ -352,11 +346,7 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
                 trusted = run.tuning.sfm.rig
                 sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
                 sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
-        sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
+        sensors.append(replace(sensor, sigma_deg=float(f"{sigma_deg:.3g}"), sigma_m=float(f"{sigma_m:.3g}")))
     if kept:
         run.said.append(f"{found.name}: {', '.join(kept)} as given: too few ties determine the pose in the rig")
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")

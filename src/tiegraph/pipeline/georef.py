@@ -151,15 +151,6 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     return PositionRows(gnss.time_s, world, np.hypot(gnss.sigma_m, cut))
 
 
-def covered_frames(run: Run, scene: Scene) -> np.ndarray | None:
-    """(F,) frames in sections under a bridge, as the network stage wrote them."""
-    path = run.path("network", "sections.json")
-    if not path.exists():
-        return None
-    bridges = [row["number"] for row in load_json(path) if row["kind"] == "bridge"]
-    return np.isin(scene.section, bridges)
-
-
 def _tables(placed: Georeference) -> dict[str, dict]:
     """Statements of the sources; control and check points, one a row, and their accuracy."""
     said = {"evidence": evidence.table(placed.findings.statements)} if placed.findings.statements else {}
@@ -190,9 +181,7 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 
-# --- accuracy of a run by its own prediction -------------------------------------------------------------------------
-
-
+_CARRIER_M = 0.1  # positions stated to this are of a carrier phase (RTK, PPK): code alone gives a metre
 _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "trajectory": "the trajectory's positions"}
 
 
@@ -231,10 +220,10 @@ def _hold(run: Run, world: dict) -> Hold:
     rows = [row["frame"] for row in world["frames"] if row["inlier"]]
     source, stated_m = _SOURCES.get(scene.prior, "positions"), scene.position_sigma_m[rows]
     if scene.prior == "gnss" and np.isfinite(stated_m).any():
-        source += " of RTK quality" if np.nanmedian(stated_m) <= run.settings.tuning.evaluate.carrier_m else ""
+        source += " of RTK quality" if np.nanmedian(stated_m) <= _CARRIER_M else ""
     without = np.setdiff1d(np.arange(scene.frames), rows)
-    covered = covered_frames(run, scene)
-    under = 0 if covered is None else int(covered[without].sum())
+    bridges = [row["number"] for row in load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"]
+    under = int(np.isin(scene.section[without], bridges).sum())
     found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
     points = {"control": found.count("gcp"), "checks": found.count("check")}
     return Hold(source=source, positions=len(rows), frames=scene.frames, covered=under, **points)

@@ -17,7 +17,7 @@ from tiegraph.masks.folder import candidates, find_mask
 from tiegraph.masks.sources import read_model
 from tiegraph.pipeline.files import read_image, scanned
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.project.inputs import FOLLOW, Inputs, check_files, check_path
+from tiegraph.project.inputs import check_files, check_path
 from tiegraph.project.run import Run, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
@@ -52,7 +52,7 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
     for option, path, kind in (
         ("--gnss", given.gnss, "file"),
         ("--times", given.times, "file"),
-        ("--trajectory", _trajectory(given), "file or folder"),
+        ("--trajectory", given.poses, "file or folder"),
         ("--start", given.start, "file or folder"),
     ):
         if path is not None:
@@ -69,11 +69,6 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
     else:
         with suppress(UnreadableArtefact):  # then it is made again
             check_against(run, scanned(run))
-
-
-def _trajectory(given: Inputs) -> Path | None:
-    """The trajectory's file or folder, if it is not to be made from the images."""
-    return None if given.trajectory == FOLLOW else given.trajectory
 
 
 def _read_settings(settings: Settings) -> None:
@@ -97,14 +92,13 @@ def _read_settings(settings: Settings) -> None:
 
 
 def _read_inputs(run: Run) -> None:
-    """Read the inputs that need no image, for the errors this raises."""
     given, tuning = run.inputs, run.settings.tuning.scan.rig
     named = given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig, tuning)
     if named and rig_of_run(given.rig) is None:
         read_rig_file(str(given.rig), tuning)
     if given.camera is not None:
         read_camera(given.camera)
-    poses = _trajectory(given)
+    poses = given.poses
     if poses is not None and (poses.is_file() or is_bag(poses) or has_named_poses(poses)):
         read_trajectory(poses)
     if given.start is not None:
@@ -153,14 +147,11 @@ def control_file(run: Run) -> GcpFile | None:
     return read_gcps(path, settings.georef.marks)
 
 
-# --- coded targets of a control point file -------------------------------------------------------------------------
-
-
 def target_marks(
     run: Run, scene: Scene, file: GcpFile, model: pycolmap.Reconstruction | None = None, most: int | None = None
 ) -> TargetMarks:
-    """Marks of the file's coded targets in the prepared images, ``most`` of them or all; by the cameras of a model
-    if there is one.
+    """Marks of the file's coded targets in the prepared images, ``most`` of them or all; by the cameras of a model if
+    there is one.
 
     Raises InputError if none of them is seen in any image, with the family that is, if there is one.
     """

@@ -160,14 +160,10 @@ def _given(settings: LidarSettings) -> tuple[np.ndarray | None, float | None]:
     return place, clock if settings.clock_s is None else settings.clock_s
 
 
-# --- the LiDAR alone -------------------------------------------------------------------------------------------------
-
-
 def _trajectory(
     recording: Recording, settings: LidarSettings, tuning: Tuning, reporter: Reporter
 ) -> tuple[Poses, Cloud, list[str]]:
-    """The LiDAR's path, its map and notes. The scans are read twice: for the poses, and for the map by
-    the final ones."""
+    """The LiDAR's path, map and notes. The scans are read twice: for the poses, and for the map by the final ones."""
     times = []
     with reporter.stage("odometry"):
         reporter.total(2 * (recording.count or 0))
@@ -227,9 +223,6 @@ def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning)
         match = PoseMatch(estimate=poses, reference=given, group=group, order=np.arange(len(poses)))
         rows.append(["ATE after SE3 [m]", evaluate_trajectory(match, _RPE_M, tuning.trajectory).se3.rmse_m])
     return {"columns": ["LiDAR odometry", "against the given poses"], "rows": rows}
-
-
-# --- a run beside the LiDAR ----------------------------------------------------------------------------------------
 
 
 def calibrated(
@@ -310,7 +303,6 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
 
 
 def _hand_eye_table(found: HandEye) -> dict[str, Any]:
-    """Value and sigma of each parameter."""
     place = found.rig_from_lidar[:3, 3]
     rows = [["clock offset [s]", found.clock_s, found.clock_sigma_s]]
     rows += [[f"lever arm {a} [m]", v, s] for a, v, s in zip("xyz", place, found.place_sigma_m)]
@@ -343,8 +335,7 @@ class _Judged:
 
     def column(self, section: int | None) -> dict[str, float]:
         """The rows of paper 001's tables 1 and 3 to 5 of the whole survey or a section of it. The cloud is compared
-        along the normals of the LiDAR's map, and by the distances to its nearest points, which grow with the gaps
-        between its rings."""
+        along the normals of the LiDAR's map, and by the distances to its nearest points."""
         scene = self.run.scene
         images = np.ones(len(scene), bool) if section is None else scene.section[scene.frame] == section
         rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)

@@ -3,18 +3,17 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import make_origin, middle
-from tiegraph.pipeline.files import checked, load_json, load_model, read_image, scanned, world_origin
+from tiegraph.pipeline.files import checked, load_json, load_model, read_colours, scanned, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import matrix
@@ -89,7 +88,7 @@ class Marking:
 
     def pixels(self, image: int) -> np.ndarray:
         """(H, W, 3) of a prepared image, BGR."""
-        return _read(self.run.path("images", self.scene.names[image]))
+        return read_colours(self.run.path("images", self.scene.names[image]))
 
     def _write(self) -> None:
         if _digest(self.target) != self.written:
@@ -227,11 +226,6 @@ def _go_on(session: Marking, given: GcpFile) -> None:
 
 def _digest(path: Path) -> str:
     return hashlib.blake2b(path.read_bytes()).hexdigest() if path.exists() else ""
-
-
-@lru_cache(maxsize=6)
-def _read(path: Path) -> np.ndarray:
-    return read_image(path, cv2.IMREAD_COLOR)
 
 
 def odm_text(file: GcpFile, crs: str, marks: Sequence[FileMark]) -> str:

@@ -83,6 +83,7 @@ def masks(run: Run) -> Outcome:
         flags_said.append(f"hardly worth keeping: {text} images ({done}); masks.csv names them")
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
+    known = {n: shares[:, k] for k, n in enumerate(NAMES) if np.isfinite(shares[:, k]).any()}
     inverted = []
     # Used of all pixels: more is seen of an object before a backdrop
     if source == "folder" and counts["used_percent"] < 20:
@@ -91,13 +92,12 @@ def masks(run: Run) -> Outcome:
         {**counts, "flagged": len(flagged)},
         dropped=tuple((empty | left_out).items()),
         notes=(f"source {source}: {why}", *inverted, *learnt, *flags_said),
-        tables={"shares of the images": _by_camera(scene, shares)},
+        tables={"shares of the images": _by_camera(scene, scene.sensor_key, known)},
     )
 
 
 def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuning) -> None:
-    """Masks ``target``/<image>.png of all images of a scene by another source with default settings, one after
-    another."""
+    """Masks ``target``/<image>.png of all images of a scene by another source with default settings."""
     choose("mask source", source, {n: None for n in (*SOURCES, *papers.MASKS) if n not in _NEED_A_FILE})
     made = _source(source)
     settings = MasksSettings(source=source)  # type: ignore[arg-type]
@@ -176,14 +176,14 @@ def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> tupl
     return image_quality(images / name, other, read_mask(folder, name), tuning)
 
 
-def _by_camera(scene: Scene, shares: np.ndarray) -> dict:
-    known = [k for k in range(len(NAMES)) if np.isfinite(shares[:, k]).any()]
+def _by_camera(scene: Scene, key: np.ndarray, shares: Mapping[str, np.ndarray]) -> dict:
+    """Mean shares of the images of each camera, percent; ``key``, ``shares`` (N,) of images."""
     rows = [
-        [sensor.name, *(float(100 * shares[scene.sensor_key == key][:, k].mean()) for k in known)]
-        for key, sensor in enumerate(scene.all_sensors)
-        if (scene.sensor_key == key).any()
+        [sensor.name, *(float(100 * share[key == k].mean()) for share in shares.values())]
+        for k, sensor in enumerate(scene.all_sensors)
+        if (key == k).any()
     ]
-    return {"columns": ["camera", *(f"{NAMES[k]} %" for k in known)], "rows": rows}
+    return {"columns": ["camera", *(f"{name} %" for name in shares)], "rows": rows}
 
 
 def refine(run: Run) -> Outcome:
@@ -304,10 +304,6 @@ def _tables(run: Run, scene: Scene) -> dict[str, dict]:
         return {}
     before, now = (np.array(run.map(class_shares, names, f)) for f in (run.folder, run.path(FINAL)))
     key = scene.sensor_key[[scene.image_index[n] for n in names]]
-    rows = [
-        [s.name, *(float(100 * x[key == k][:, c].mean()) for c in (USE, WATER) for x in (before, now))]
-        for k, s in enumerate(scene.all_sensors)
-        if (key == k).any()
-    ]
-    heads = [f"{NAMES[c]} {when} %" for c in (USE, WATER) for when in ("before", "now")]
-    return {"final masks": {"columns": ["camera", *heads], "rows": rows}}
+    when = {"before": before, "now": now}
+    shares = {f"{NAMES[c]} {name}": found[:, c] for c in (USE, WATER) for name, found in when.items()}
+    return {"final masks": _by_camera(scene, key, shares)}

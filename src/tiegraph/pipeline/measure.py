@@ -111,9 +111,6 @@ def open_map(folder: Path) -> MapFiles:
     )
 
 
-# --- lines and polygons in the CRS of the survey ---------------------------------------------------------------------
-
-
 def line_of(given: Sequence[str], map_: MapFiles) -> np.ndarray:
     """Vertices (N, 2) in the CRS of a line that is given as places "E,N", or as a file that has one."""
     if len(given) == 1 and Path(given[0]).suffix and not _pair(given[0]):
@@ -162,12 +159,8 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
     return shapes.parts
 
 
-# --- profiles --------------------------------------------------------------------------------------------------------
-
-
 def make_profile(folder: Path, line: Sequence[str], out: Path) -> Profile:
-    """Write heights along a line of a map as CSV, and beside it a chart as SVG. Raises InputError for no map, an
-    invalid line or one outside, and another CRS."""
+    """Write heights along a line of a map as CSV and SVG. Raises InputError without a map, for an unfit line or CRS."""
     from tiegraph.products.volumes import chart  # draws
 
     map_ = open_map(folder)
@@ -182,9 +175,6 @@ def make_profile(folder: Path, line: Sequence[str], out: Path) -> Profile:
     write_atomic(out, csv_text(*profile.table))
     write_atomic(out.with_suffix(".svg"), chart(profile))
     return profile
-
-
-# --- volumes ---------------------------------------------------------------------------------------------------------
 
 
 def measure_volumes(
@@ -279,7 +269,6 @@ def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[
 
 
 def _patch(map_: MapFiles, name: str, window: Window, step: int) -> Patch:
-    """A raster and its sigma in a window, in the world."""
     w, spread = (map_.read(n, window, step).astype(float) for n in (name, _sigma(name)))
     corner = map_.corner + np.array([window.column, -window.row]) * map_.pixel - map_.shift[:2]
     return Patch(w - map_.shift[2], spread, corner=corner, pixel=map_.pixel * step)

@@ -206,7 +206,6 @@ class _Work:
 
 
 def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
-    """Write the files of a mesh whose textures are there."""
     whole = work.mesh()
     place, texture = places(whole, layout, work.views)
     coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
@@ -217,15 +216,12 @@ def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
     save_json(folder / "offset.json", said)
     write_atomic(folder / "mesh.glb", glb(textured, [p.read_bytes() for p in pictures], said))
     write_atomic(folder / "mesh.mtl", mtl([p.name for p in pictures]))
+    # Six digits of the size of the whole: tenths of a millimetre of a hundred metres
+    decimals = int(np.clip(6 - np.floor(np.log10(max(float(np.ptp(whole.xyz, axis=0).max()), 1e-6))), 3, 12))
     with replacing(folder / "mesh.obj") as temporary, open(temporary, "wb") as file:
-        file.writelines(obj(textured, "mesh.mtl", _decimals(whole), lines))
+        file.writelines(obj(textured, "mesh.mtl", decimals, lines))
     write_atomic(folder / "mesh.ply", ply_of(coloured, said=tuple(lines)))
     return _outcome(run, work, coloured, layout)
-
-
-def _decimals(whole: Mesh) -> int:
-    """Decimals of coordinates: six digits of the size of the whole, tenths of a millimetre of a hundred metres."""
-    return int(np.clip(6 - np.floor(np.log10(max(float(np.ptp(whole.xyz, axis=0).max()), 1e-6))), 3, 12))
 
 
 def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
@@ -273,9 +269,6 @@ def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
     if unit != "m":
         notes.append("the model has no scale: lengths are in its own units")
     return Outcome(counts, notes=tuple(notes))
-
-
-# --- `tiegraph export --to 3dtiles`: levels of detail of the finished mesh ---
 
 
 def write_mesh_tiles(run: Run, place: Place, target: Path) -> None:

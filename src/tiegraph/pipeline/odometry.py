@@ -48,8 +48,7 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
     """Follow the rig through every pass of a scanned survey; write ``out`` (TUM) and beside it a CSV of the same name
     with segments and sigmas, or of several passes a folder named as ``out`` without suffix, with a pair a pass.
 
-    Raises InputError for a rig that is not calibrated, and existing outputs; ReconstructionError if
-    nothing can be followed.
+    Raises InputError for an uncalibrated rig and existing outputs; ReconstructionError if nothing can be followed.
     """
     scene = scanned(run)
     cameras, rig_from_body = cameras_of(scene.rigs), _rig_from_body(run)
@@ -72,11 +71,9 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
 
 
 def followed(run: Run, scene: Scene) -> tuple[Followed, tuple[str, ...]]:
-    """The poses by odometry for a survey whose images are being scanned, and notes; its
-    files go to ``odometry/`` of the run folder.
+    """The poses by odometry for a survey that is being scanned, and notes; its files go to ``odometry/``.
 
-    Of each pass the longest segment counts. A pass that cannot be followed has no poses, with a note. Raises
-    InputError for a rig that is not calibrated.
+    Of each pass the longest segment counts; one that cannot be followed has no poses. Raises as ``odometry``.
     """
     cameras = cameras_of(scene.rigs)
     body, poses, notes, metric = _rig_from_body(run), {}, [], True
@@ -126,9 +123,6 @@ def _rig_from_body(run: Run) -> np.ndarray:
     return np.eye(4) if pose is None else pose
 
 
-# --- following ------------------------------------------------------------------------------------------------------
-
-
 def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tuple[OdometryPath, list[str]]:
     tuning, unread = run.settings.tuning.odometry, []
     image_of = {(int(scene.frame[k]), int(scene.sensor[k])): scene.names[k] for k in range(len(scene))}
@@ -155,11 +149,7 @@ def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tup
     return path_of(engine, frames.tolist(), tuning.map), notes
 
 
-# --- writing --------------------------------------------------------------------------------------------------------
-
-
 def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_from_body: np.ndarray) -> None:
-    """The main segment as TUM, all of them with sigmas as CSV."""
     poses = path.world_from_rig @ rig_from_body
     timed = np.isfinite(scene.time_s[frames]).all()
     times = scene.time_s[frames] if timed else np.arange(len(frames), dtype=float)

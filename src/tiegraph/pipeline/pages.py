@@ -21,6 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.files import CLOUD
@@ -115,6 +116,14 @@ class Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.FORBIDDEN, "asked from elsewhere")
         return good
 
+    def _sent(self, most: int, wrong: str) -> bytes | None:
+        """What a request sends, up to so many bytes; None if that is refused as ``wrong``."""
+        length = self.headers.get("Content-Length", "")
+        if most and length.isdigit() and int(length) <= most:
+            return self.rfile.read(int(length))
+        self.close_connection = True
+        return self._refuse(HTTPStatus.BAD_REQUEST, wrong)
+
     def _json(self, data: Any) -> None:
         self._send(json.dumps(data, allow_nan=False).encode(), "application/json")
 
@@ -197,13 +206,11 @@ class _MarkHandler(Handler):
         """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
         if not self._allowed("application/json"):
             return
-        length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > 4096 or urlsplit(self.path).path != "/mark":  # bytes of a mark
-            self.close_connection = True
-            self._refuse(HTTPStatus.BAD_REQUEST, "not a mark")
+        sent = self._sent(4096 if urlsplit(self.path).path == "/mark" else 0, "not a mark")
+        if sent is None:
             return
         try:
-            data = json.loads(self.rfile.read(int(length)))
+            data = json.loads(sent)
             xy = None if data["xy"] is None else (float(data["xy"][0]), float(data["xy"][1]))
             with self.server.lock:
                 self.server.session.set(int(data["point"]), int(data["image"]), xy)
@@ -289,9 +296,5 @@ def _patch(pixels: np.ndarray, query: dict[str, str]) -> bytes:
     """``size`` square pixels from (left, top) of an image (H, W, 3) as PNG; black beyond it."""
     left, top = int(query["left"]), int(query["top"])
     size = min(max(int(query.get("size", _PATCH_PX)), 1), _MOST_PATCH_PX)
-    out = np.zeros((size, size, 3), np.uint8)
-    height, width = pixels.shape[:2]
-    y0, y1, x0, x1 = max(top, 0), min(top + size, height), max(left, 0), min(left + size, width)
-    if y0 < y1 and x0 < x1:
-        out[y0 - top : y1 - top, x0 - left : x1 - left] = pixels[y0:y1, x0:x1]
-    return cv2.imencode(".png", out)[1].tobytes()
+    cut = Image.fromarray(pixels).crop((left, top, left + size, top + size))
+    return cv2.imencode(".png", np.asarray(cut))[1].tobytes()

@@ -20,7 +20,6 @@ from tiegraph.plan.figures import Effort, effort
 from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, Table, comparison, frames_apart, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
-from tiegraph.plan.tuning import EffortTuning, ErrorTuning
 from tiegraph.project.run import Run
 from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import save_json, write_atomic
@@ -47,6 +46,13 @@ from tiegraph.sfm.systematic import AssumedErrors
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
 PLAN = "plan.json"
+# What the observations of a run share, known from runs. Sigmas by the errors that the observations of a point share
+# over those by independent ones: KITTI 1.8, canal 2.0, canal_demo 1.4, Herz-Jesus-P8 1.4.
+_TRACKS = 1.6
+# Of an adjusted lens, what it leaves: 0.02 to 0.18 px are found in canal and canal_demo, most of them smooth, which the
+# lens's own unknowns take up; what is left does as much as this at a reach of a tenth of the image's diagonal (KITTI,
+# Herz-Jesus-P8, canal_demo).
+_LENS_PX, _REACH = 0.015, 0.1
 
 
 def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
@@ -58,10 +64,9 @@ def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
     if out is not None:
         must_be_new(out)
     tunings = tunings or VerbTunings()
-    rigged, tuning = _cameras(request.camera, tunings.scan), tunings.plan
-    errors = tuning.errors.model_copy(update={"calibration_px": request.camera.calibration(tuning.errors)})
-    propagate = partial(_propagate, rigged=rigged, errors=errors, tuning=tunings.sfm)
-    made = make_plan(request, rigged, propagate, FeaturesSettings().max_features, tuning)
+    rigged, given = _cameras(request.camera, tunings.scan), request.camera.calibration()
+    propagate = partial(_propagate, rigged=rigged, calibration_px=given, tuning=tunings.sfm)
+    made = make_plan(request, rigged, propagate, FeaturesSettings().max_features)
     if out is not None:
         for name, data in made.files().items():
             write_atomic(out / name, data)
@@ -94,7 +99,7 @@ def reached(folder: Path) -> dict[str, float | None]:
     model = read_model(folder / run.model.folder)
     world = run.world or {}
     base = frames_apart(frame_positions(run.scene, run.model.centres), run.scene.sequence, run.scene.sequence_index)
-    out: dict[str, float | None] = {"images": int(run.model.registered.sum())}
+    out: dict[str, float | None] = {"images": int(run.model.images.registered.sum())}
     if not run.metric:
         return out | {k: v for k, v in model_figures(model).items() if k != "tie_gsd_m"}
     out |= model_figures(model)
@@ -112,13 +117,13 @@ def reached(folder: Path) -> dict[str, float | None]:
 
 
 def _propagate(
-    model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, errors: ErrorTuning, tuning: SfmTuning
+    model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged, calibration_px: float, tuning: SfmTuning
 ) -> Shape:
     """The values of the stage `sparse` for an adjusted model: rig and lenses unknown unless calibrated."""
     free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
     here = set(model.cameras) if calibrated else free  # lenses that are adjusted or calibrated for this survey
-    lens_px = {k: errors.lens_px if k in here else errors.calibration_px for k in model.cameras}
-    shared = AssumedErrors(lens_px=lens_px, reach=errors.reach, tracks=errors.tracks)
+    lens_px = {k: _LENS_PX if k in here else calibration_px for k in model.cameras}
+    shared = AssumedErrors(lens_px=lens_px, reach=_REACH, tracks=_TRACKS)
     try:
         found = planned_sigma(model, free, not rigged.fixed, shared, tuning=tuning)
     except (ValueError, RuntimeError) as error:  # of an inverse too
@@ -133,9 +138,6 @@ def _propagate(
         points=np.array(found.points.ids),
         point_sigma=found.points.sigma,
     )
-
-
-# --- the cameras ----------------------------------------------------------------------------------------------------
 
 
 def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
@@ -181,11 +183,7 @@ def _camera(
     return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera)[0]
 
 
-# --- the page -------------------------------------------------------------------------------------------------------
-
-
 def _page(made: Plan) -> str:
-    """The path in 3-D, in the viewer of the report."""
     assert made.path is not None
     path, points = made.path.path, made.path.network.model.points3D.values()
     xyz = np.array([p.xyz for p in points])
@@ -198,12 +196,6 @@ def _page(made: Plan) -> str:
     packed = json.dumps(data).replace("<", "\\u003c")
     page = environment().get_template("planned.html.jinja")
     return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))
-
-
-# --- what a run will need before it begins -------------------------------------------------------------------------
-
-
-_GB = 1e9
 
 
 @dataclass(frozen=True)
@@ -249,11 +241,9 @@ def forecast(run: Run) -> Forecast | None:
     megapixels = np.prod(sizes, axis=1) / 1e6
     settings = run.settings
     most = most_features(megapixels, settings.features.max_features, settings.tuning.features.sift)
-    tuning = EffortTuning(features_px=settings.features.max_image_size, dense_px=settings.dense.max_image_size)
-    if settings.products.make == "none":
-        tuning = tuning.model_copy(update={"products_megapixel_s": 0.0, "products_bytes": 0.0})
-    count = len(names)
-    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, float(most.mean()), tuning)
+    longest, with_products = (settings.features.max_image_size, settings.dense.max_image_size), settings.products.make
+    every = (sizes * (len(names) // len(sizes) + 1))[: len(names)]
+    cost = effort(every, 1, 0.0, None, float(most.mean()), longest, with_products != "none")
     where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
     return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
 
@@ -264,4 +254,4 @@ def _size(folder: Path) -> int:
 
 
 def _gb(size: float) -> str:
-    return f"{size / _GB:.2g} GB"
+    return f"{size / 1e9:.2g} GB"

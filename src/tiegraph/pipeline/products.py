@@ -103,8 +103,6 @@ class _Work(OnSurface):
             self.step(windows, "colours", self.make_colours, self.finish_colours, "source.tif"),
         ]
 
-    # --- heights ------------------------------------------------------------------------------------------------------
-
     def make_heights(self, window: Window) -> None:
         around = self.surface.box(window.grown(margin(self.tuning.heights)))
         with reading(self.folder / CLOUD):
@@ -119,8 +117,6 @@ class _Work(OnSurface):
         shades = ((w, self.heights(w.grown(1))) for w in self.windows)
         self.write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
         write_atomic(self.path("dsm.jpg"), relief(self.path("dsm.tif"), PICTURE_PX, self.place.unit))
-
-    # --- visibility in the images -------------------------------------------------------------------------------------
 
     def make_view(self, k: int) -> None:
         """The part of the surface that an image sees, and its colours there for the exposures; nothing if none."""
@@ -148,8 +144,6 @@ class _Work(OnSurface):
         found = load_npz(self.scratch("view", k))
         names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
         return kind(**{n: found[f"{prefix}{n}"][()] for n in names}) if found else None
-
-    # --- colours ------------------------------------------------------------------------------------------------------
 
     def make_colours(self, window: Window) -> None:
         around = window.grown(ortho_margin(self.tuning.ortho))

@@ -69,7 +69,7 @@ def scan(run: Run) -> Outcome:
         rig_text=None if known is None else known.text,
         camera=given.camera,
         gnss=given.gnss,
-        trajectory=None if given.trajectory == FOLLOW else given.trajectory,
+        trajectory=given.poses,
         start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != source_of(given.images),
@@ -166,8 +166,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
     """The folder of images, the user's own or of the pictures taken from the videos and bags in it; notes on their
     origin; and cameras by the folder below it whose images they took.
 
-    Raises InputError if the start times of a rig's videos are undecided, if there are fewer than two pictures in total,
-    and for bags as ``bag_films`` does.
+    Raises InputError if start times of a rig's videos are undecided, for fewer than two pictures, and as ``bag_films``.
     """
     images, asked = split_topics(run.inputs.images)
     found = [images / v for v in find_videos(images)] if images.is_dir() and not asked else []

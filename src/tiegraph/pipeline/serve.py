@@ -308,18 +308,15 @@ class _ServeHandler(Handler):
         self._json({"new": new})
 
     def do_POST(self) -> None:
-        """Start ({"options": {...}, "until": stage or null}) or stop the run: the state that follows; or show the
-        cloud: where that is."""
+        """Start ({"options": {...}, "until": stage or null}) or stop the run: the state; or show the cloud: where."""
         path = self._asked("application/json")
-        length = self.headers.get("Content-Length", "")
         if path is None:
             return
-        if path not in ("start", "stop", "view") or not length.isdigit() or int(length) > _MOST_JSON:
-            self.close_connection = True
-            self._refuse(HTTPStatus.BAD_REQUEST, "neither start, stop nor view")
+        sent = self._sent(_MOST_JSON if path in ("start", "stop", "view") else 0, "neither start, stop nor view")
+        if sent is None:
             return
         try:
-            data = json.loads(self.rfile.read(int(length)) or b"{}")
+            data = json.loads(sent or b"{}")
             if path == "view":
                 self._json({"url": self.server.view()})
                 return

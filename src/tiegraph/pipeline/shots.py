@@ -15,7 +15,7 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.shot import Seen, ShotScale, depth_range, in_camera, plan_shot, shot_scale
 from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.pipeline.dense import coloured
+from tiegraph.pipeline.dense import colours
 from tiegraph.pipeline.files import load_map, load_model, whole, world_origin, world_unit
 from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
@@ -91,8 +91,8 @@ def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
     first = {n: depth_map(p, images, masks, dense, tuning, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():
         save_depth(confirmed_map(image, first[name], first.get, dense, tuning)[0], depth_path(folder, name))
-    colours = coloured(plan.images, images, dense)
-    maps = Maps(lambda name: load_map(depth_path(folder, name)), colours)
+    drawn = partial(colours, plans=plan.images, images=images, settings=dense)
+    maps = Maps(lambda name: load_map(depth_path(folder, name)), drawn)
     tiles = folder / _FOLDER / ".tiles"
     tiles.mkdir(parents=True, exist_ok=True)
     with scratch_folder(tiles) as scratch:

@@ -86,9 +86,6 @@ def stations(
     return result
 
 
-# --- what is read ----------------------------------------------------------------------------------------------------
-
-
 def cloud_files(sources: Sequence[Path]) -> list[Path]:
     """Files of clouds: those named, and of a folder (of a run: its ``shots``) all in it, by name.
 
@@ -116,8 +113,8 @@ def cloud_files(sources: Sequence[Path]) -> list[Path]:
 
 
 def pose_numbers(names: Sequence[str]) -> list[int]:
-    """The time of each cloud in a TUM file: the last number in its name; its place in the order,
-    from 0, if these numbers are not unique."""
+    """The time of each cloud in a TUM file: the last number in its name; its place in the order, from 0, if these
+    numbers are not unique."""
     found = [re.findall(r"\d+", name) for name in names]
     numbers = {int(digits[-1]): None for digits in found if digits}
     return list(numbers) if len(numbers) == len(names) else list(range(len(names)))
@@ -181,9 +178,6 @@ def _with_poses(shots: list[Shot], path: Path) -> list[Shot]:
     return out
 
 
-# --- one cloud -------------------------------------------------------------------------------------------------------
-
-
 def _merged(
     files: dict[str, Path],
     poses: dict[str, np.ndarray],
@@ -207,9 +201,6 @@ def _points(
     sigma = np.where(np.isfinite(cloud.sigma_m) & (cloud.sigma_m > 0), cloud.sigma_m, noise).astype(np.float32)
     moved = replace(cloud.moved(pose), sigma_m=sigma, views=np.maximum(cloud.views, 1))
     return [(moved, np.maximum(spacing_of(cloud.xyz_m, cloud.origin is None), voxel), 0)]
-
-
-# --- summary ---------------------------------------------------------------------------------------------------------
 
 
 def _told_of(

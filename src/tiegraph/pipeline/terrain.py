@@ -140,8 +140,6 @@ class TerrainWork(OnSurface):
         """Cells to which terrain is interpolated."""
         return int(np.ceil(self.objects_m / 2 / (self.cell * self.surface.pixel_m)))
 
-    # --- which cells are ground ---------------------------------------------------------------------------------------
-
     def make_low(self, window: Window) -> None:
         """Heights of the cells of a tile, low ones, and their sigma."""
         low = low_cells(self.heights(window), self.cell, self.tuning.terrain)
@@ -156,8 +154,6 @@ class TerrainWork(OnSurface):
         found = bare(low, noise, cell_m, self.objects_m, self.tuning.terrain)
         within = footprint(np.isfinite(low))
         self._keep("low", through(found, np.where(np.isfinite(found), noise, np.nan), self.cell, self.reach, within))
-
-    # --- the terrain through them -------------------------------------------------------------------------------------
 
     def make_ground(self, window: Window) -> None:
         """Heights of the cells of a tile by their pixels on the ground."""
@@ -174,8 +170,6 @@ class TerrainWork(OnSurface):
         w, sigma = (self._whole("ground", name, self.cell) for name in ("w", "sigma"))
         within = footprint(np.isfinite(self._whole("low", "low", self.cell)))
         self._keep("ground", through(w, sigma, self.cell, self.reach, within))
-
-    # --- at the pixels ------------------------------------------------------------------------------------------------
 
     def make_terrain(self, window: Window) -> None:
         """Heights of the terrain of a tile, their sigma, and both by the cells in which contour lines are drawn."""
@@ -220,8 +214,6 @@ class TerrainWork(OnSurface):
             return "contour lines: none, because no height of the terrain is known or all are equal"
         counted = f"{int(found['lines'])} lines at {int(found['levels'])} heights, {float(found['every']):g} m apart"
         return f"contour lines: {counted} ({found['written']})"
-
-    # --- the grid of the whole map ------------------------------------------------------------------------------------
 
     def _whole(self, kind: str, name: str, step: int) -> np.ndarray:
         """Cells (rows, columns) of ``step`` pixels of all tiles."""

@@ -2,7 +2,7 @@
 
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from tiegraph.pipeline.files import (
     load_model,
     pairs_of,
     placement_error,
-    read_image,
+    read_colours,
     reading,
     world_origin,
     world_unit,
@@ -128,7 +128,7 @@ class Viewed:
         """(H, W, 3) of an image, BGR. Raises ValueError for a number that is none."""
         if not 0 <= image < len(self.images):
             raise ValueError("no such image")
-        return _read(self.path("images", self.names[image]))
+        return read_colours(self.path("images", self.names[image]))
 
     def pick(self, local: np.ndarray) -> dict[str, Any]:
         """The point of the cloud nearest to a local place (3,), JSON-ready: its coordinates, its sigmas, and the images
@@ -244,8 +244,3 @@ def _heights(path: Path, most: int) -> np.ndarray:
     with reading(path), rasterio.open(path) as raster:
         w = raster.read(1, out_shape=_shape(raster, most), resampling=Resampling.average).astype(float)
     return np.where(w == NODATA, np.nan, w)
-
-
-@lru_cache(maxsize=6)
-def _read(path: Path) -> np.ndarray:
-    return read_image(path, cv2.IMREAD_COLOR)

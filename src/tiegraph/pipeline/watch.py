@@ -59,8 +59,7 @@ log = logging.getLogger(__name__)
 def watch(run: Run, port: int, tuning: Tuning) -> None:
     """Watch ``run.inputs.images`` until interrupted, which is the normal end: the state is kept then.
 
-    Raises InputError, before anything is written, for wrong inputs, a run folder that is not ours, and a port
-    that is not available.
+    Raises InputError before anything is written: wrong inputs, a run folder that is not ours, no such port.
     """
     check_run(STAGES, run)
     check_given(STAGES, run)
@@ -107,8 +106,6 @@ class Watched:
         self._models = CoarseModels(run)
         self._unsaved, self._last, self._saved = True, 0.0, 0.0
         self._recall()
-
-    # --- a step -----------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> bool:
         """Process newly arrived files and the model's result; whether anything is new."""
@@ -195,8 +192,6 @@ class Watched:
                 self.run.reporter.say(f"waiting, because the present files do not fit: {error}")
             self._trouble = str(error)
 
-    # --- ties and poses ---------------------------------------------------------------------------------------------
-
     def _tie(self, new: list[str]) -> None:
         scene = self.scene
         if scene is None or not new:
@@ -225,7 +220,7 @@ class Watched:
             return
         ties, known = self.ties(scene), self._known(scene)
         size_px = self.run.settings.preview.size_px
-        how = partial(resect_previews, size_px=size_px, tuning=self.tuning.frames)
+        how = partial(resect_previews, size_px=size_px)
         for _ in range(2):  # a frame may depend on one that comes after it
             without = ~known.placed()
             across = without[ties.i] != without[ties.j]
@@ -237,7 +232,7 @@ class Watched:
             if not todo:
                 return
             self._tried.update({scene.frame_names[f]: int(weight[f]) for f in todo})
-            poses = place_frames(scene, ties, known, todo, how, self.tuning.frames)
+            poses = place_frames(scene, ties, known, todo, how)
             known = replace(known, poses=poses)
             self.poses.update({n: poses[k] for k, n in enumerate(scene.names) if np.isfinite(poses[k]).all()})
 
@@ -248,8 +243,6 @@ class Watched:
         poses = np.array([self.poses.get(name, nowhere) for name in scene.names]).reshape(-1, 4, 4)
         cameras = [rigs[scene.rig[f]].sensors[s].camera for f, s in zip(scene.frame, scene.sensor)]
         return Known(poses, cameras, keypoints=lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs=rigs)
-
-    # --- the model --------------------------------------------------------------------------------------------------
 
     def _model_if_due(self, now: float) -> None:
         scene, tuning = self.scene, self.tuning.model
@@ -265,7 +258,7 @@ class Watched:
         new = len(scene) - self._models.images
         idle = now - self._last > tuning.idle_s
         if new >= max(1, tuning.more * self._models.images) or (idle and (new or self._models.ties < len(self._ties))):
-            self._models.start(scene, self.ties(scene), tuning)
+            self._models.start(scene, self.ties(scene))
             self._models.ties = len(self._ties)
 
     def _take_model(self, made: Modelled) -> None:
@@ -282,8 +275,6 @@ class Watched:
             said += f", {len(made.places)} weak places"
         self.run.reporter.say(said)
         self.run.reporter.event("model", images=len(self.poses), of=len(scene), seconds=round(self._models.seconds, 2))
-
-    # --- display and storage ------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
         """Content of the page."""

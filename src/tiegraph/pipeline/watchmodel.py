@@ -33,8 +33,12 @@ from tiegraph.scene.graph import strongest_pairs
 from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.watch.tuning import FramesTuning, ModelTuning
+from tiegraph.watch.frames import LEAST_POINTS
 from tiegraph.watch.view import path_and_ties, plan_from_world, rounded
+
+_INLIER_SMALL_PX = 3.0  # distance of an inlier in pixels of the reduced image
+_LOOK_ALIKES = 4  # of an image, matched before a model: what order does not tell of, loops and loose photographs
+_WORDS = {"training": 30_000, "vocabularies": 1}  # a second, not six, at 200 images; finds 0.01 to 0.02 less
 
 
 def make_preview(scene: Scene, image: int, source: Path, folder: Path, settings: Settings) -> None:
@@ -79,7 +83,7 @@ def matched(pairs: np.ndarray, scene: Scene, folder: Path, settings: Settings) -
 
 
 def resect_previews(
-    rig: Rig, sensor: np.ndarray, xy: np.ndarray, points: np.ndarray, size_px: int, tuning: FramesTuning
+    rig: Rig, sensor: np.ndarray, xy: np.ndarray, points: np.ndarray, size_px: int
 ) -> np.ndarray | None:
     """rig_from_world (4, 4) by the odometry's resection, with the precision of previews of ``size_px``; None if there
     is none. sensor (K,), xy (K, 2) full pixels, points (K, 3)."""
@@ -93,8 +97,8 @@ def resect_previews(
         return None
     names, models, mounted = zip(*known.values())
     reduced = max(1.0, max(np.sqrt(c.width * c.height / 0.75) for c in models) / size_px)  # as extract_preview
-    limit = tuning.inlier_small_px * reduced
-    asked = PoseTuning(inlier_px=limit, first_px=4 * limit, least_points=tuning.least_points)
+    limit = _INLIER_SMALL_PX * reduced
+    asked = PoseTuning(inlier_px=limit, first_px=4 * limit, least_points=LEAST_POINTS)
     camera = np.searchsorted(list(known), sensor[use])
     found = resect(Cameras(names, models, np.stack(mounted)), camera, xy[use], points[use], None, asked)
     return None if found is None else found.rig_from_world
@@ -115,15 +119,13 @@ class Modelled:
     places: tuple[WeakPlace, ...] = ()
 
 
-def make_model(
-    folder: Path, settings: Settings, scene: Scene, ties: PreviewMatches, tuning: ModelTuning, send: object
-) -> Modelled:
+def make_model(folder: Path, settings: Settings, scene: Scene, ties: PreviewMatches, send: object) -> Modelled:
     """Match look-alikes, remove isolated ties as between similar walls, map the best, analyse the surface.
 
     Runs in a child process (``run_in_child``).
     """
     run = Run(folder, Inputs(folder), settings, "serial")
-    ties = _with_look_alikes(run, scene, ties, tuning)
+    ties = _with_look_alikes(run, scene, ties)
     least, network = settings.candidates.min_matches, settings.tuning.network
     count = ties.counts()
     ends = ties.i.astype(int), ties.j.astype(int)
@@ -141,15 +143,11 @@ def make_model(
     return Modelled(ties, model.cam_from_world, rigs=model.rigs, surface=surface, places=places)
 
 
-def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches, tuning: ModelTuning) -> PreviewMatches:
+def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches) -> PreviewMatches:
     """The ties, and the matches of the most similar images that were not matched yet."""
-    if not tuning.look_alikes:
-        return ties
-    words = run.settings.tuning.network.retrieval.vocabulary.model_copy(
-        update={"training": tuning.training, "vocabularies": tuning.vocabularies}
-    )
+    words = run.settings.tuning.network.retrieval.vocabulary.model_copy(update=_WORDS)
     descriptors = [read_preview(run.folder, name).descriptors for name in scene.names]
-    other, _ = nearest_images(descriptors, tuning.look_alikes, words)
+    other, _ = nearest_images(descriptors, _LOOK_ALIKES, words)
     one = np.repeat(np.arange(len(scene)), other.shape[1])[other.ravel() >= 0]
     two = other.ravel()[other.ravel() >= 0]
     pairs = np.unique(np.sort(np.column_stack([one, two]), axis=1), axis=0)
@@ -176,15 +174,15 @@ class CoarseModels:
         """Whether one is being made, or was made and is not taken yet."""
         return self._thread is not None
 
-    def start(self, scene: Scene, ties: PreviewMatches, tuning: ModelTuning) -> None:
+    def start(self, scene: Scene, ties: PreviewMatches) -> None:
         """Begin one of all images of a scene."""
         self.scene, self.images = scene, len(scene)
-        self._thread = threading.Thread(target=self._make, args=(ties, tuning), daemon=True, name="watch-model")
+        self._thread = threading.Thread(target=self._make, args=(ties,), daemon=True, name="watch-model")
         self._thread.start()
 
-    def _make(self, ties: PreviewMatches, tuning: ModelTuning) -> None:
+    def _make(self, ties: PreviewMatches) -> None:
         began, run = time.monotonic(), self._run
-        asked = run.folder, run.settings, self.scene, ties, tuning
+        asked = run.folder, run.settings, self.scene, ties
         try:
             self._result = run_in_child(make_model, *asked, log=run.log, task="coarse model")
         except TiegraphError as error:  # the next is tried with more images

@@ -1,10 +1,5 @@
 """What a planned network is expected to know of positions and points, in shape and in the world, place by place on the
-path. What ties it to the world: positions of a receiver, with outages, and control points. What is worst, and what
-would help.
-
-The covariance comes from a function that is handed in: that of the stage ``sparse``, run on the synthetic network. The
-world is universal kriging: the shape's covariance C is free of any similarity, the similarity is unknown, and fixes
-(positions, control points) tell both it and the bends of the shape, as an adjustment with them does.
+path; what is worst, and what would help. The covariance comes from a function that is handed in.
 """
 
 from collections.abc import Callable
@@ -19,7 +14,6 @@ from tiegraph.geometry.transforms import motions
 from tiegraph.plan.network import MountedCamera, Network, make_network
 from tiegraph.plan.path import Path
 from tiegraph.plan.request import WorldRequest
-from tiegraph.plan.tuning import Tuning, WorldTuning
 from tiegraph.text import finite
 
 
@@ -171,10 +165,9 @@ def known_of(
     network: Network,
     shape: Shape,
     world: WorldRequest,
-    tuning: WorldTuning,
 ) -> Known:
     """The fixes of a path, by the frames that the shape is known of."""
-    positions = world.positions(tuning.height_factor)
+    positions = world.positions()
     fixes: list[Fix] = []
     common = np.zeros(3)
     if positions is not None:
@@ -187,26 +180,30 @@ def known_of(
         if not world.control:
             common = sigma
     marked = np.linspace(0, len(shape.frames) - 1, world.control).round().astype(int).tolist()
-    fixes += [control_point(path, network, shape, k, world.control_sigma, tuning) for k in marked]
+    fixes += [control_point(path, network, shape, k, world.control_sigma) for k in marked]
     axes = np.stack([c.sensor_from_body[2, :3] for c in cameras])
     level = axes[np.abs(axes[:, 1]) < 0.7]  # less than 45 degrees up or down: cameras all round tell the vertical
     all_round = len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < UpTuning().round
     return Known(tuple(fixes), common, UpTuning().ring_sigma_deg if all_round else None)
 
 
-def control_point(path: Path, network: Network, shape: Shape, frame: int, sigma_m: float, tuning: WorldTuning) -> Fix:
+def control_point(path: Path, network: Network, shape: Shape, frame: int, sigma_m: float) -> Fix:
     """A control point on the surface that a frame (row of the shape's) sees, where the images' marks meet."""
     images = network.model.frame(int(shape.frames[frame]) + 1).image_ids
     ids = {p.point3D_id for k in images for p in network.model.image(k.id).get_observation_points2D()}
     if not ids:
         return Fix(frame, path.centres[shape.frames[frame]], np.full(3, np.inf))
-    well = [k for k in sorted(ids) if network.model.point3D(k).track.length() >= tuning.least_marks] or sorted(ids)
+    well = [k for k in sorted(ids) if network.model.point3D(k).track.length() >= _LEAST_MARKS] or sorted(ids)
     here = path.centres[shape.frames[frame]]
     best = min(well, key=lambda k: float(np.linalg.norm(network.model.point3D(k).xyz - here)))
-    met = tuning.mark_px**2 * own_variance(network.model, np.array([best]))[0]
+    met = _MARK_PX**2 * own_variance(network.model, np.array([best]))[0]
     return Fix(frame, network.model.point3D(best).xyz, np.sqrt(sigma_m**2 + met))
 
 
+_MARK_PX = 0.5  # of a control point marked in an image
+_LEAST_MARKS = 3  # images that a control point is marked in, where as many see it
+_SECTIONS = 8  # of a way that are told apart
+_GAIN = 0.15  # by which a change must lower the worst sigma to be advised
 _WORST = 3  # places of the largest sigmas that are named
 
 
@@ -268,27 +265,26 @@ def plan_path(
     by: Propagate,
     world: WorldRequest,
     relief_m: float,
-    tuning: Tuning,
 ) -> PathPlan:
     """What a path is expected to give; ``relief_m``: sigma of the unevenness of the surface."""
-    network = make_network(path, cameras, world, relief_m, tuning.network)
+    network = make_network(path, cameras, world, relief_m)
     shape = propagate(network, by, world.tie_px)
-    known = known_of(path, cameras, network, shape, world, tuning.world)
+    known = known_of(path, cameras, network, shape, world)
     lenses = propagate(network, by, world.tie_px, calibrated=True)
     found = expected(shape, network, path, known)
     return PathPlan(
         path=path, cameras=cameras, network=network, known=known, expected=found,
-        places=tuple(_places(path, network, found, tuning)), worst=tuple(_worst(path, found, known, tuning)),
-        advice=(*_lens_advice(shape, lenses, tuning), *_advice(path, network, shape, known, world, tuning)),
+        places=tuple(_places(path, network, found)), worst=tuple(_worst(path, found, known)),
+        advice=(*_lens_advice(shape, lenses), *_advice(path, network, shape, known, world)),
         scale=shape.scale,
     )  # fmt: skip
 
 
-def _places(path: Path, network: Network, e: Expected, tuning: Tuning) -> list[Place]:
+def _places(path: Path, network: Network, e: Expected) -> list[Place]:
     out = []
     for leg, name in enumerate(path.legs):
         own = np.flatnonzero(path.leg == leg)
-        most = max(1, tuning.world.sections // len(path.legs))
+        most = max(1, _SECTIONS // len(path.legs))
         for part in np.array_split(own, min(most, len(own))):
             rows = np.flatnonzero(np.isin(e.frames, part))
             near = np.flatnonzero(np.isin(e.near, rows))
@@ -300,11 +296,11 @@ def _places(path: Path, network: Network, e: Expected, tuning: Tuning) -> list[P
     return out
 
 
-def _worst(path: Path, e: Expected, known: Known, tuning: Tuning) -> list[str]:
+def _worst(path: Path, e: Expected, known: Known) -> list[str]:
     """The places of the largest sigmas, each with what is special there; places beside one another are one."""
     sigma, what = (e.world, "in the world") if known.placed else (e.shape, "in shape")
     centres = path.centres[e.frames]
-    apart = np.linalg.norm(np.ptp(centres, axis=0)) / (2 * tuning.world.sections)
+    apart = np.linalg.norm(np.ptp(centres, axis=0)) / (2 * _SECTIONS)
     chosen: list[int] = []
     for k in np.argsort(-sigma, kind="stable").tolist():
         if len(chosen) < _WORST and all(np.linalg.norm(centres[k] - centres[c]) > apart for c in chosen):
@@ -319,9 +315,9 @@ def _worst(path: Path, e: Expected, known: Known, tuning: Tuning) -> list[str]:
     return out
 
 
-def _lens_advice(shape: Shape, calibrated: Shape, tuning: Tuning) -> list[str]:
+def _lens_advice(shape: Shape, calibrated: Shape) -> list[str]:
     now, then = (float(np.median(np.linalg.norm(s.point_sigma, axis=1))) for s in (shape, calibrated))
-    if then > (1 - tuning.world.gain) * now:
+    if then > (1 - _GAIN) * now:
         return []
     return [
         f"lenses calibrated beforehand (tiegraph calibrate, --rig) bring points from {_metres(now)} to {_metres(then)} "
@@ -329,17 +325,17 @@ def _lens_advice(shape: Shape, calibrated: Shape, tuning: Tuning) -> list[str]:
     ]
 
 
-def _advice(path: Path, network: Network, shape: Shape, known: Known, world: WorldRequest, tuning: Tuning) -> list[str]:
+def _advice(path: Path, network: Network, shape: Shape, known: Known, world: WorldRequest) -> list[str]:
     """What would help, worked out; nothing that was not."""
     if not known.placed:
         return ["nothing places the path in the world: with --gnss or --control its accuracy there is worked out, too"]
     now = expected(shape, network, path, known)
     row = int(np.argmax(now.world))
-    added = control_point(path, network, shape, row, world.control_sigma, tuning.world)
+    added = control_point(path, network, shape, row, world.control_sigma)
     common = np.zeros(3) if world.control else known.common
     then = expected(shape, network, path, replace(known, fixes=(*known.fixes, added), common=common))
     before, after = float(now.world.max()), float(then.world.max())
-    if after > (1 - tuning.world.gain) * before:
+    if after > (1 - _GAIN) * before:
         return [
             f"one more control point at {path.place(int(now.frames[row]))}, the worst place, would change little "
             f"({_metres(before)} to {_metres(after)})"

@@ -5,13 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.plan.tuning import EffortTuning, StationTuning
+
+_BLUR_PX = 0.5  # motion during the exposure that is allowed: key points and matching keep their precision
+_MOST_RAYS = 6  # of a point, up to which its precision is tabled
 
 
 @dataclass(frozen=True)
 class Lens:
-    """The camera that the closed forms are about: focal length and image size, pixels; which side runs along the
-    motion (0 = the width, 1 = the height)."""
+    """The camera that the closed forms are about: focal length and image size, pixels; which side runs along the motion
+    (0 = the width, 1 = the height)."""
 
     focal_px: float
     size: tuple[int, int]
@@ -100,7 +102,7 @@ def check_overlap(name: str, value: float) -> None:
         )
 
 
-def station(lens: Lens, distance_m: float, wanted: Wanted, tuning: StationTuning) -> Station:
+def station(lens: Lens, distance_m: float, wanted: Wanted) -> Station:
     """The figures of one distance. The base is that which is given, else way between two frames, else by the overlap.
 
     Raises InputError for a distance that is none, and where nothing says how far frames are apart.
@@ -114,7 +116,7 @@ def station(lens: Lens, distance_m: float, wanted: Wanted, tuning: StationTuning
             raise InputError("nothing says how far images are apart: give --overlap, --base, or --speed and --rate")
         base = (1 - wanted.overlap) * along
     overlap = max(0.0, 1 - base / along)
-    most = int(np.clip(np.floor(along / base) + 1, 2, tuning.most_rays))
+    most = int(np.clip(np.floor(along / base) + 1, 2, _MOST_RAYS))
     two = distance_m**2 / (lens.focal_px * base) * wanted.match_px  # equation 2
     per_match = lens.focal_px * base / wanted.match_px
     speed, exposure = wanted.speed_m_s, wanted.exposure_s
@@ -128,7 +130,7 @@ def station(lens: Lens, distance_m: float, wanted: Wanted, tuning: StationTuning
         across_m=gsd * wanted.match_px / 2,  # each image has a half of the disparity's variance, and there are two
         farthest_m=None if wanted.precision_m is None else float(np.sqrt(wanted.precision_m * per_match)),
         blur_px=None if speed is None or exposure is None else speed * exposure / gsd,
-        exposure_s=None if speed is None else tuning.blur_px * gsd / speed,
+        exposure_s=None if speed is None else _BLUR_PX * gsd / speed,
     )
 
 
@@ -170,7 +172,19 @@ def advice(made: Station, lens: Lens, wanted: Wanted) -> list[str]:
     return out
 
 
-# --- what a survey costs -------------------------------------------------------------------------------------------
+# CPU seconds of one core of an AMD EPYC, by benchmarks/results: of a run, of an image from `scan` to `georef`, and of
+# its megapixels: small_sets.json and large_sets.json, seven sets of 8 to 300 images within a third (canal 441 s
+# measured, 337 so; PandaSet 269 and 400; KITTI 164 and 134; canal_demo 121 and 121; Herz-Jesus-P25 59 and 64).
+START_S, _IMAGE_S, _MEGAPIXEL_S = 5.0, 0.8, 1.0
+_DENSE_MEGAPIXEL_S = 2.4  # matched in `dense` and `cloud`: whole_way.json, canal, 221 s for 92 megapixels
+_PRODUCTS_MEGAPIXEL_S = 3.2  # of the images at full size: canal_demo 3.1 (64 s), fountain-P11 3.2 (56 s)
+_PRODUCTS_BYTES = 0.8  # of each of their pixels, for rasters and pictures: canal_demo 0.4, fountain-P11 1.2
+_IMAGE_BYTES = 0.3  # of a pixel as JPEG: canal 0.27, PandaSet 0.13; cameras set to their finest write up to 0.6
+# In the run folder up to `georef`: of an image (preview, masks, its part of the tables), and of each of its features.
+# `du` has, kB an image: canal_demo 323 measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838,
+# Herz-Jesus-P8 1004 and 1134.
+_ROOM_BYTES, _FEATURE_BYTES, _FEATURES_A_MEGAPIXEL = 110e3, 250.0, 5600.0
+_DENSE_BYTES = 6.0  # of a matched pixel, depth maps and cloud: canal_demo 7.0, kerry_park, half of it placed, 0.5
 
 
 @dataclass(frozen=True)
@@ -203,25 +217,26 @@ def effort(
     way_m: float,
     speed_m_s: float | None,
     most_features: float,
-    tuning: EffortTuning,
+    longest_px: tuple[float, float] = (3200.0, 3200.0),
+    products: bool = True,
 ) -> Effort:
-    """Cost of so many frames of cameras of these sizes (width, height), pixels, which keep so many features at most."""
+    """Cost of so many frames of cameras of these sizes (width, height), pixels, which keep so many features at most;
+    ``longest_px`` is worked on in features and dense."""
     images, pixels = frames * len(sizes), frames * _pixels(sizes)
-    matched = frames * _pixels(sizes, tuning.dense_px)
-    each = (min(tuning.features_a_megapixel * w * h / 1e6, most_features) for w, h in sizes)
+    made = pixels if products else 0.0
+    matched = frames * _pixels(sizes, longest_px[1])
+    each = (min(_FEATURES_A_MEGAPIXEL * w * h / 1e6, most_features) for w, h in sizes)
     features = frames * sum(each)
     return Effort(
         images=images,
         way_m=way_m,
         site_s=None if speed_m_s is None else way_m / speed_m_s,
-        image_bytes=tuning.image_bytes * pixels,
-        model_bytes=tuning.room_bytes * images + tuning.feature_bytes * features,
-        dense_bytes=tuning.dense_bytes * matched + tuning.products_bytes * pixels,
+        image_bytes=_IMAGE_BYTES * pixels,
+        model_bytes=_ROOM_BYTES * images + _FEATURE_BYTES * features,
+        dense_bytes=_DENSE_BYTES * matched + _PRODUCTS_BYTES * made,
         scratch_bytes=160.0 * features,  # bytes of a feature, in the copy of the database that `sparse` works on
-        sparse_cpu_s=tuning.start_s
-        + tuning.image_s * images
-        + tuning.megapixel_s * frames * _pixels(sizes, tuning.features_px) / 1e6,
-        dense_cpu_s=(tuning.dense_megapixel_s * matched + tuning.products_megapixel_s * pixels) / 1e6,
+        sparse_cpu_s=START_S + _IMAGE_S * images + _MEGAPIXEL_S * frames * _pixels(sizes, longest_px[0]) / 1e6,
+        dense_cpu_s=(_DENSE_MEGAPIXEL_S * matched + _PRODUCTS_MEGAPIXEL_S * made) / 1e6,
     )
 
 

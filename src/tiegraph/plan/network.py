@@ -10,10 +10,24 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.plan.path import Facet, Path
 from tiegraph.plan.request import WorldRequest
-from tiegraph.plan.tuning import NetworkTuning
 from tiegraph.scene.colmapmodel import add_rig
 
 _SEED = 0
+# Observations of tie points of an image, for each megapixel that shows surface (PandaSet 1400, canal_demo 4000, KITTI
+# 4700, canal 6000), and of an image at most
+_TIES_A_MEGAPIXEL, _MOST_TIES = 4000.0, 4000
+# Of the images that could see a point those that do; mean of how far, seen from the point, they may stand off each
+# other, and of how many times as near one may be as the other: so the tracks of canal come out as measured (7 images
+# in the mean, 2 to 20; rays 18 deg apart in the median, distances 1.3 times).
+_REPEAT, _TURN_DEG, _NEARER = 0.45, 18.0, 1.5
+_INCIDENCE_DEG = 80.0  # of a ray on the surface
+_LEAST_ANGLE_DEG = 1.0  # between the rays of a point, as `sparse` keeps them
+# How much the rig is turned from frame to frame, sigma about each axis: boats, vehicles and hands are never still, and
+# exactly parallel views would leave focal length and distance one unknown (canal: 0.5 to 1 deg).
+_WOBBLE_DEG = 1.5
+_MOST_POINTS = 3000  # simulated: fewer than there will be, of so much smaller errors that they tell as much
+_LEAST_POINTS = 25  # that start from an image, however many images there are: fewer hold no camera
+_MOST_FRAMES = 1500  # more are too many to propagate here
 
 
 @dataclass(frozen=True)
@@ -54,35 +68,33 @@ class _Sights:
     shown: np.ndarray  # (I,) 0 to 1
 
 
-def make_network(
-    path: Path, cameras: list[MountedCamera], world: WorldRequest, relief_m: float, tuning: NetworkTuning
-) -> Network:
+def make_network(path: Path, cameras: list[MountedCamera], world: WorldRequest, relief_m: float) -> Network:
     """The network of a path over a surface of this unevenness (sigma).
 
     Points start from pixels drawn evenly over each image, so features are as frequent everywhere in an image that
-    shows surface. Another image sees such a point as often as the tolerances of ``tuning`` let it: they are drawn for
+    shows surface. Another image sees such a point as often as the tolerances above let it: they are drawn for
     each point, as some features are found again from everywhere and most from nearby only. Raises InputError for
     paths that are too long, and for images that see too little surface or do not overlap.
     """
-    if len(path) > tuning.most_frames:
+    if len(path) > _MOST_FRAMES:
         raise InputError(
-            f"the path has {len(path)} frames: the accuracy of more than {tuning.most_frames} is not propagated here; "
+            f"the path has {len(path)} frames: the accuracy of more than {_MOST_FRAMES} is not propagated here; "
             "plan a part of it (a shorter --length: accuracy repeats), or take a larger --base"
         )
     rng = np.random.default_rng(_SEED)
-    wobble = Rotation.from_rotvec(np.radians(tuning.wobble_deg) * rng.standard_normal((len(path), 3))).as_matrix()
+    wobble = Rotation.from_rotvec(np.radians(_WOBBLE_DEG) * rng.standard_normal((len(path), 3))).as_matrix()
     path = replace(path, world_from_body=path.world_from_body @ transforms.rigid(wobble, np.zeros(3)))
     mounted = np.stack([c.sensor_from_body for c in cameras])
     poses = (mounted[None] @ transforms.invert(path.world_from_body)[:, None]).reshape(-1, 4, 4)
     images = len(poses)  # frame by frame
-    sights = _sights(path, cameras, poses, relief_m, rng, tuning)
+    sights = _sights(path, cameras, poses, relief_m, rng)
     if len(sights.xyz) < 3 * len(path):
         raise InputError(
             f"only {len(sights.xyz)} points of the surface are seen by two of the {images} images: they see past it or "
             "do not overlap; look at the drawing (-o), change --overlap, --base, --yaw or --pitch"
         )
     megapixels = np.array([c.camera.width * c.camera.height / 1e6 for c in cameras] * len(path))
-    wanted = np.minimum(tuning.ties_a_megapixel * megapixels, tuning.most_ties) * sights.shown
+    wanted = np.minimum(_TIES_A_MEGAPIXEL * megapixels, _MOST_TIES) * sights.shown
     if world.ties is not None:
         wanted = np.full(images, float(world.ties))
     made = np.bincount(sights.image, minlength=images)
@@ -117,10 +129,9 @@ def _sights(
     poses: np.ndarray,
     relief_m: float,
     rng: np.random.Generator,
-    tuning: NetworkTuning,
 ) -> _Sights:
     """Points that start from images, and which images see them; ``relief_m``: sigma of the surface's unevenness."""
-    start, centres = int(max(tuning.least_points, tuning.most_points // len(poses))), transforms.centre(poses)
+    start, centres = int(max(_LEAST_POINTS, _MOST_POINTS // len(poses))), transforms.centre(poses)
     begun = []
     for k, pose in enumerate(poses):
         camera = cameras[k % len(cameras)].camera
@@ -137,8 +148,8 @@ def _sights(
     # Features of a wall seen at a grazing angle are of what stands out of it: they face half-way to the camera.
     normals = normals - ray
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    turned = np.cos(np.minimum(rng.exponential(np.radians(tuning.turn_deg), len(points)), np.pi))
-    nearer = np.exp(rng.exponential(np.log(tuning.nearer), len(points)))
+    turned = np.cos(np.minimum(rng.exponential(np.radians(_TURN_DEG), len(points)), np.pi))
+    nearer = np.exp(rng.exponential(np.log(_NEARER), len(points)))
     found = []
     for k, pose in enumerate(poses):
         camera = cameras[k % len(cameras)].camera
@@ -146,16 +157,16 @@ def _sights(
         depth = to @ pose[2, :3]
         far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
         to = to / far[:, None]
-        seen = (depth > 0) & (-np.sum(to * normals, axis=1) > np.cos(np.radians(tuning.incidence_deg)))
+        seen = (depth > 0) & (-np.sum(to * normals, axis=1) > np.cos(np.radians(_INCIDENCE_DEG)))
         seen &= (np.sum(to * ray, axis=1) > turned) & (far < nearer * reach) & (reach < nearer * far)
-        rows = np.flatnonzero(seen & ((first == k) | (rng.random(len(points)) < tuning.repeat)))
+        rows = np.flatnonzero(seen & ((first == k) | (rng.random(len(points)) < _REPEAT)))
         xy = np.asarray(camera.img_from_cam(transforms.apply(pose, points[rows])))
         inside = np.all((xy >= 0) & (xy <= [camera.width, camera.height]), axis=1)
         found.append((np.full(int(inside.sum()), k), rows[inside], xy[inside]))
     image, point, pixel = (np.concatenate(column) for column in zip(*found))
     shown = np.bincount(first, minlength=len(poses)) / start
     made = _Sights(image=image, point=point, xy=pixel, xyz=points, shown=shown)
-    return _useful(made, centres, tuning)
+    return _useful(made, centres)
 
 
 def _hit(centre: np.ndarray, rays: np.ndarray, surface: tuple[Facet, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +181,7 @@ def _hit(centre: np.ndarray, rays: np.ndarray, surface: tuple[Facet, ...]) -> tu
     return np.where(np.isfinite(best), best, np.nan), normal
 
 
-def _useful(sights: _Sights, centres: np.ndarray, tuning: NetworkTuning) -> _Sights:
+def _useful(sights: _Sights, centres: np.ndarray) -> _Sights:
     """Without points whose rays meet at too small an angle, or that one image sees."""
     order = np.argsort(sights.point, kind="stable")
     point = sights.point[order]
@@ -180,7 +191,7 @@ def _useful(sights: _Sights, centres: np.ndarray, tuning: NetworkTuning) -> _Sig
     apart = np.arccos(np.clip(np.sum(ray * ray[first], axis=1), -1, 1))
     widest = np.zeros(len(sights.xyz))
     np.maximum.at(widest, point, apart)
-    kept = widest >= np.radians(tuning.least_angle_deg)
+    kept = widest >= np.radians(_LEAST_ANGLE_DEG)
     good, number = kept[sights.point], np.cumsum(kept) - 1
     columns = {"image": sights.image[good], "point": number[sights.point[good]], "xy": sights.xy[good]}
     return replace(sights, **columns, xyz=sights.xyz[kept])

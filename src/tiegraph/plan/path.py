@@ -17,9 +17,10 @@ from tiegraph.errors import InputError, choose
 from tiegraph.geometry.geodesy import Origin, crs_coordinates, geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
 from tiegraph.plan.figures import above_zero
-from tiegraph.plan.tuning import PathTuning
 from tiegraph.text import csv_text
 
+_PASSES_APART = 0.3  # ways out and back, in parts of the distance to the wall: one keeps to the right
+_CAMERA_M = 2.0  # height of a camera over water or road
 _BEYOND = 4.0  # distances that walls go on before and behind the way
 _UP = np.array([0.0, 0.0, 1.0])
 _FACETS = 16  # planes that stand for a round wall
@@ -84,12 +85,12 @@ class Path:
         return f"{self.way_m[frame]:.0f} m along {self.legs[self.leg[frame]]}"
 
 
-def make_path(course: Course, tuning: PathTuning) -> Path:
+def make_path(course: Course) -> Path:
     """The frames and the surface of a shape. Raises SettingsError for an unknown shape, InputError for sizes."""
-    shape: Callable[[Course, PathTuning], Path] = choose("shape", course.shape, SHAPES)  # type: ignore[assignment]
+    shape: Callable[[Course], Path] = choose("shape", course.shape, SHAPES)  # type: ignore[assignment]
     for name in ("length", "width", "height"):
         above_zero(name, getattr(course, f"{name}_m"), "metres")
-    path = shape(course, tuning)
+    path = shape(course)
     if len(path) < 3:
         raise InputError(
             f"the path has {len(path)} frame(s), {course.base_m:.3g} m apart: less than the 3 that an adjustment "
@@ -98,14 +99,14 @@ def make_path(course: Course, tuning: PathTuning) -> Path:
     return path
 
 
-def _way(c: Course, tuning: PathTuning) -> Path:
+def _way(c: Course) -> Path:
     """Canal, road, corridor and tunnel: out along x, and back for two passes, each right of the middle of canal and
     road. What lines the way is drawn across it, as pieces from and to (y, z), seen from their left."""
     side, top = c.distance_m, c.height_m
     right, left = (-side, top), (side, 0.0)
     walls = [(left, (side, top)), (right, (-side, 0.0))]
     ground, ceiling = ((-side, 0.0), left), ((side, top), right)
-    beside, height = (tuning.passes_apart * side / 2 if c.passes > 1 else 0.0), tuning.camera_m
+    beside, height = (_PASSES_APART * side / 2 if c.passes > 1 else 0.0), _CAMERA_M
     pieces = {"canal": walls, "road": [*walls, ground], "corridor": [*walls, ground, ceiling]}.get(c.shape, [])
     if c.shape == "tunnel":
         ring = side * _circle(_FACETS + 1, 2 * np.pi / _FACETS)[:, :2]
@@ -126,14 +127,13 @@ def _way(c: Course, tuning: PathTuning) -> Path:
     return _path(np.stack(parts), np.tile(steps, (c.passes, 1)), names, surface)
 
 
-def _facade(c: Course, tuning: PathTuning) -> Path:
-    """A wall, by rows to and fro."""
+def _facade(c: Course) -> Path:
     wall = Facet(np.array([0, c.distance_m, 0]), np.array([[c.length_m, 0, 0], [0, 0, c.height_m]]))
     lines = [np.array([0, 0, z]) for z in _evenly(c.height_m, c.row_m)]
     return _rows(c, lines, _turn(np.array([0.0, 1.0, 0.0])), "row", wall)
 
 
-def _grid(c: Course, tuning: PathTuning) -> Path:
+def _grid(c: Course) -> Path:
     """Ground from above, by lines to and fro; it goes on round about."""
     more = c.distance_m
     edges = np.diag([c.length_m + 2 * more, c.width_m + 2 * more, 0.0])[:2]
@@ -142,7 +142,7 @@ def _grid(c: Course, tuning: PathTuning) -> Path:
     return _rows(c, lines, ahead, "line", Facet(np.array([-more, -more, 0.0]), edges))
 
 
-def _orbit(c: Course, tuning: PathTuning) -> Path:
+def _orbit(c: Course) -> Path:
     """A round object of the given width on the ground, by rings about it. Frames are a base apart on its surface."""
     radius = c.width_m / 2
     ring = radius * _circle(_FACETS + 1, 2 * np.pi / _FACETS)
@@ -203,9 +203,6 @@ def _turn(forward: np.ndarray) -> np.ndarray:
 def _mounted(c: Course) -> np.ndarray:
     """body_from_mounted (3, 3): yaw to the right about the body's down axis, then pitch up."""
     return np.asarray(Rotation.from_euler("YX", c.turned_deg, degrees=True).as_matrix())
-
-
-# --- waypoints -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ from tiegraph.plan.path import (
     waypoint_kml,
 )
 from tiegraph.plan.request import PlanRequest, numbers
-from tiegraph.plan.tuning import Tuning
 from tiegraph.scene.results import png
 from tiegraph.scene.sorting import evenly
 from tiegraph.text import csv_text
@@ -88,7 +87,7 @@ class Plan:
         return out
 
 
-def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int, tuning: Tuning) -> Plan:
+def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int) -> Plan:
     """The plan. ``by``: the covariance of an adjusted model; an image keeps ``most_features``.
 
     Raises InputError for what makes no survey.
@@ -96,7 +95,7 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features
     shape = request.path.shape
     camera = rigged.cameras[0].camera
     lens = Lens(camera.mean_focal_length(), (camera.width, camera.height), along=1 if shape == "grid" else 0)
-    groups, said = _sweep(request, lens, tuning)
+    groups, said = _sweep(request, lens)
     stations = tuple(s for _, group in groups for s in group)
     plan = Plan(
         lens=lens, stations=stations, groups=groups, advice=tuple(said), wanted_m=request.images.precision
@@ -105,18 +104,15 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features
         return plan
     if len(stations) > 1:
         raise InputError(f"--shape {shape} is of one distance and base: {len(stations)} are given")
-    return _with_path(plan, request, rigged, by, most_features, tuning)
+    return _with_path(plan, request, rigged, by, most_features)
 
 
-def _sweep(
-    request: PlanRequest, lens: Lens, tuning: Tuning
-) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
-    """Stations by the distances, for each base and overlap; advice."""
+def _sweep(request: PlanRequest, lens: Lens) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
     images, said, groups = request.images, [], []
     bases, overlaps = numbers("base", images.base), numbers("overlap", images.overlap)
     for base, overlap in product(bases, overlaps):
         wanted = images.wanted(base, overlap)
-        made = [station(lens, d, wanted, tuning.station) for d in images.distances()]
+        made = [station(lens, d, wanted) for d in images.distances()]
         said += [text for one in made for text in advice(one, lens, wanted)]
         name = f"base {base:g} m, " if len(bases) > 1 and base else ""
         name += f"overlap {100 * overlap:g} %, " if len(overlaps) > 1 and overlap is not None else ""
@@ -124,13 +120,11 @@ def _sweep(
     return tuple(groups), said
 
 
-def _with_path(
-    plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int, tuning: Tuning
-) -> Plan:
+def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int) -> Plan:
     asked, world, made = request.path, request.world, plan.stations[0]
     if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in WAYS):
         raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(WAYS)}; other shapes have rows or rings")
-    world.check(tuning.world)
+    world.check()
     anchor = None if world.origin is None else read_anchor(world.origin, world.heading)
     across = made.footprint_m[1 - plan.lens.along]
     course = Course(
@@ -144,14 +138,16 @@ def _with_path(
         passes=(2 if asked.shape == "canal" else 1) if asked.passes is None else asked.passes,
         turned_deg=(asked.yaw, asked.pitch),
     )
-    uneven = tuning.network.street_relief if asked.shape in ("canal", "road") else tuning.network.relief
+    # In parts of the distance: no wall is a plane, which would leave lenses open; a canal or road is lined by houses
+    # behind quays and parked cars (canal: 0.25).
+    uneven = 0.25 if asked.shape in ("canal", "road") else 0.1
     relief = uneven * made.distance_m if asked.relief is None else asked.relief
     if not relief >= 0:
         raise InputError(f"--relief {relief:g}: give metres, zero or more")
-    path = make_path(course, tuning.path)
-    found = plan_path(path, rigged.cameras, by, world, relief, tuning)
+    path = make_path(course)
+    found = plan_path(path, rigged.cameras, by, world, relief)
     sizes = [(c.camera.width, c.camera.height) for c in rigged.cameras]
-    cost = effort(sizes, len(path), path.length_m, request.images.speed, most_features, tuning.effort)
+    cost = effort(sizes, len(path), path.length_m, request.images.speed, most_features)
     facts = {"shape": course.shape, "distance_m": course.distance_m, "length_m": course.length_m}
     said = (*plan.advice, *found.advice)
     return replace(plan, advice=said, path=found, effort=cost, anchor=anchor, shape=facts)
@@ -321,7 +317,6 @@ def comparison(planned: Mapping[str, Any], reached: Mapping[str, float | None]) 
 
 
 def _sentence(planned: Mapping[str, Any], reached: Mapping[str, float | None]) -> str:
-    """Shape and place, in words."""
     parts = []
     for name, what in (("position_shape", "the shape of the path"), ("place_world", "its place in the world")):
         plan, run = (found.get(f"{name}_sigma_median_m") for found in (planned, reached))

@@ -10,7 +10,11 @@ import tyro
 
 from tiegraph.errors import InputError
 from tiegraph.plan.figures import Wanted, above_zero, check_overlap
-from tiegraph.plan.tuning import ErrorTuning, WorldTuning
+
+# A lens held as a file gives it, used away from where it was calibrated: a vehicle's is half a pixel off (KITTI 0.65,
+# the one vehicle measured, rounded); one that came with its photographs 0.05 (Strecha).
+_CALIBRATION_PX = 0.5
+_HEIGHT_FACTOR = 1.5  # sigma of a receiver's height over that of its place, where none is given
 
 
 @dataclass(frozen=True)
@@ -34,10 +38,10 @@ class CameraRequest:
     """How well lenses that a rig file gives, and that are held, are known, pixels in the image: 0.05 where they were
     calibrated with this survey (`tiegraph calibrate` tells it), else half a pixel (default)."""
 
-    def calibration(self, tuning: ErrorTuning) -> float:
+    def calibration(self) -> float:
         """Pixels by which lenses that are held are off. Raises InputError for what is no error."""
         if self.calibration_px is None:
-            return tuning.calibration_px
+            return _CALIBRATION_PX
         if not (math.isfinite(self.calibration_px) and self.calibration_px >= 0):
             raise InputError(f"--calibration-px {self.calibration_px:g}: give pixels, zero or more, such as 0.05")
         return self.calibration_px
@@ -162,9 +166,9 @@ class WorldRequest:
     heading: float = 90.0
     """Direction of the first way there, degrees clockwise from north."""
 
-    def check(self, tuning: WorldTuning) -> None:
+    def check(self) -> None:
         """Raise InputError for values that are none."""
-        self.positions(tuning.height_factor)
+        self.positions()
         above_zero("tie-px", self.tie_px, "the sigma of a tie point in an image")
         above_zero("control-sigma", self.control_sigma, "metres")
         if self.ties is not None and not self.ties >= 1:
@@ -172,9 +176,9 @@ class WorldRequest:
         if self.control < 0:
             raise InputError(f"--control {self.control}: give how many control points there are")
 
-    def positions(self, height_factor: float) -> tuple[np.ndarray, list[tuple[float, float]]] | None:
-        """Sigmas (3,) of a receiver's positions, metres, that of a height ``height_factor`` times that in plan if it is
-        not given; and the stretches (from, to), metres from the start, without any. None without a receiver.
+    def positions(self) -> tuple[np.ndarray, list[tuple[float, float]]] | None:
+        """Sigmas (3,) of a receiver's positions, metres, and the stretches (from, to), metres from the start, without
+        any. None without a receiver.
 
         Raises InputError for words that are no sigmas or stretches.
         """
@@ -185,7 +189,7 @@ class WorldRequest:
         sigma = [v for v in numbers("gnss", self.gnss) if v is not None]
         if len(sigma) > 2:
             raise InputError(f"--gnss {self.gnss}: give the sigma in plan, or in plan and height: 0.02,0.03")
-        plan, height = sigma[0], sigma[1] if len(sigma) > 1 else height_factor * sigma[0]
+        plan, height = sigma[0], sigma[1] if len(sigma) > 1 else _HEIGHT_FACTOR * sigma[0]
         if not (plan > 0 and height > 0):
             raise InputError(f"--gnss {plan:g},{height:g}: sigmas in metres, above zero")
         stretches = []

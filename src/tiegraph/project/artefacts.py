@@ -46,11 +46,9 @@ class Artefacts:
         self._stages = tuple(stages)
         self._troubles: dict[str, dict[str, str]] = {}
 
-    # --- what is there ------------------------------------------------------------------------------------------------
-
     def look(self, thorough: bool = False) -> bool:
-        """Find files that were lost or changed since they were made; whether there are any. ``thorough``: also
-        reads those with unchanged size and time."""
+        """Find files that were lost or changed since they were made; whether there are any. ``thorough``: also reads
+        those with unchanged size and time."""
         self._troubles = {}
         for stage in self._stages:
             for name, what in () if self.is_let_go(stage) else self._differences(stage, thorough):
@@ -118,8 +116,6 @@ class Artefacts:
                 f"{self.folder}: {some(found, _SHOWN)} lie where stage {stage.name} writes its results, but no receipt "
                 "lists them as made by tiegraph: move them elsewhere, or give another -o folder"
             )
-
-    # --- a stage's life -----------------------------------------------------------------------------------------------
 
     def recover(self) -> None:
         """Enter the files of an interrupted run into the lists of its stages. The journal stays until a stage begins:
@@ -191,8 +187,6 @@ class Artefacts:
     def end_journal(self) -> None:
         """Clear the journal: its names are in the lists, and no worker writes."""
         (self.folder / JOURNAL).unlink(missing_ok=True)
-
-    # --- inside -------------------------------------------------------------------------------------------------------
 
     def _there(self, stage: Stage) -> list[str]:
         return files_below(self.folder, _tops(stage), self._apart(stage))

@@ -1,10 +1,7 @@
 """Items on the workers of a Dask cluster, as an ``Executor``.
 
-Each worker is checked before it gets items (``daskworker``): the same versions, the same folders. It makes one
-item at a time, whatever its number of threads; these go to the libraries. If a worker is lost, its chunk of items is
-given to another; the run ends only if none is left, or if a chunk has ended several workers. Workers that come later,
-restarted by Dask or by a queue, take part from the next stage on. Workers outlive a run, so they
-stop between two items when the run has ended, and a new run begins after that.
+If a worker is lost, its chunk of items is given to another; the run ends only if none is left, or if a chunk has ended
+several workers. Workers that come later, restarted by Dask or by a queue, take part from the next stage on.
 """
 
 import asyncio
@@ -102,8 +99,7 @@ class DaskExecutor(Executor):
     def share(self, data: Any) -> Any:
         """Stands for ``data`` as an argument of ``submit``; large data goes to each worker once.
 
-        ``data`` = (function, args) of items: the function ends its chunk when the run has ended, and its name is shown
-        on Dask's dashboard.
+        ``data`` = (function, args) of items: its name is shown on Dask's dashboard.
         """
         function, args = data
         named = function
@@ -281,9 +277,6 @@ class DaskExecutor(Executor):
             return f"pool dask:{self._address}: workers ended at the same item, most likely for lack of memory: {error}"
         why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         return f"pool dask:{self._address}: the connection to the scheduler was lost ({why}); {_GOES_ON}"
-
-
-# --- the cluster before it works for a run -------------------------------------------------------------------------
 
 
 def connect(address: str) -> Any:

@@ -202,9 +202,6 @@ def _unusable(folder: Path, name: str, error: OSError) -> InputError:
     return InputError(f"cannot write into {folder}: {error.strerror}; choose another -o folder")
 
 
-# --- what native libraries print while a run goes on belongs to its log ----------------------------------------------
-
-
 _STDERR = 2
 
 

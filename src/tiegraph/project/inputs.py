@@ -3,8 +3,6 @@
 A file counts by its size and time until a run has read it, then by its content: a copy of it, wherever it lies, or the
 same disk mounted again, has other times but is the same. A missing file or folder counts as it was when a run read
 it: finished work can be reported without the images.
-
-Inputs must exist before anything runs: one check for every option and setting that is a path.
 """
 
 import json
@@ -141,6 +139,11 @@ class Inputs:
     camera: str | None = None  # a calibration in words, or its file
     start: Path | None = None  # a start model
 
+    @property
+    def poses(self) -> Path | None:
+        """The trajectory's file or folder, if it is not to be made from the images."""
+        return None if self.trajectory == FOLLOW else self.trajectory
+
     def parts(self, stamps: Stamps) -> dict[str, Any]:
         """The stamp of each input, by the user's name for it: for files the names below the given path, sizes and
         times; None for inputs not given."""
@@ -180,9 +183,6 @@ class Inputs:
             raise InputError(f"{images}: no such folder; give the folder with the survey's images")
         if not images.is_dir() and not is_bag(images):
             raise InputError(f"{images} is a file; give the folder with the survey's images")
-        for option, path in self._files().items():
-            if path is not None and not source_of(path).exists():
-                raise InputError(f"{option} {path}: no such file or folder")
         if self.start is not None and self.trajectory is not None:
             raise InputError(
                 f"--start {self.start} and --trajectory {self.trajectory}: both give poses: omit one (if it is "
@@ -190,8 +190,7 @@ class Inputs:
             )
 
     def _files(self) -> dict[str, Path | None]:
-        trajectory = None if self.trajectory == FOLLOW else self.trajectory
-        files = {"--gnss": self.gnss, "--trajectory": trajectory, "--times": self.times, "--start": self.start}
+        files = {"--gnss": self.gnss, "--trajectory": self.poses, "--times": self.times, "--start": self.start}
         with suppress(InputError, OSError):  # of a project folder only the model is read; reading reports a missing one
             files["--start"] = None if self.start is None else find_start(self.start)[1]
         return files
@@ -208,28 +207,18 @@ def _rig_stamp(rig: Path, stamps: Stamps) -> Any:
     return [stamps.now(rig), *(stamps.now(rig.parent / n) for n in named)] if named else stamps.now(rig)
 
 
-# --- the user's paths must exist before anything runs ----------------------------------------------------------------
-
-
 _SHORT = {"--georef.gcp": "--gcp", "--georef.marks": "--marks"}  # their short names on the command line
-
-
-def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
-    """(option, path, kind) of every setting that names a file or folder of the user, if given."""
-    out = []
-    for section, fields in sections():
-        for name, field in fields.items():
-            kind = field.json_schema_extra.get("kind") if isinstance(field.json_schema_extra, dict) else None
-            path = getattr(getattr(settings, section), name) if kind else None
-            if path is not None:
-                out.append((f"--{section}.{name}".replace("_", "-"), path, str(kind)))
-    return out
 
 
 def check_files(settings: Settings) -> None:
     """Raise InputError for the first setting whose file or folder is missing, of another kind or not readable."""
-    for option, path, kind in user_files(settings):
-        check_path(_SHORT.get(option, option), path, kind)
+    for section, fields in sections():
+        for name, field in fields.items():
+            kind = field.json_schema_extra.get("kind") if isinstance(field.json_schema_extra, dict) else None
+            path = getattr(getattr(settings, section), name) if kind else None
+            option = f"--{section}.{name}".replace("_", "-")
+            if path is not None:
+                check_path(_SHORT.get(option, option), path, str(kind))
 
 
 def check_path(option: str, path: Path, kind: str) -> None:

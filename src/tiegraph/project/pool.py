@@ -67,8 +67,7 @@ class LocalPool(ProcessPoolExecutor):
 
 
 def check_pool(spec: str) -> tuple[str, str]:
-    """(name, argument) of ``serial``, ``local``, ``local:<n>``, ``dask:<address>`` or ``slurm:<jobs>``, without
-    starting anything.
+    """(name, argument) of ``serial``, ``local``, ``local:<n>``, ``dask:<address>``, ``slurm:<jobs>``; starts nothing.
 
     Raises SettingsError for another name, an invalid number, or far more workers than the machine has cores.
     """
@@ -104,8 +103,7 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     """(executor, number of workers) of a pool as ``check_pool`` takes it.
 
     Raises SettingsError as ``check_pool``; of Dask: EngineMissing when it is not installed, InputError when the cluster
-    does not answer, has no workers, or one that lacks a requirement (the same versions, the folders of ``place``); and
-    as ``queuepool.open_slurm``.
+    does not answer, has no workers, or one without the same versions or folders (``place``); and as ``open_slurm``.
     """
     name, argument = check_pool(spec)
     if name == "serial":
@@ -147,8 +145,7 @@ def map_items(
     """``[function(item, *args) for item in items]`` in chunks over the executor, results in the order of the items.
 
     ``function`` must be at module level. The first error of an item is raised once the running chunks have ended;
-    results written by other items stay. Raises ProcessLost if a worker was ended from outside. Ctrl-C ends the workers
-    at once.
+    results written by other items stay. Raises ProcessLost for a lost worker. Ctrl-C ends them at once.
     """
     # Common data of all chunks may be large; an executor over a network sends it once (``share``).
     call = getattr(executor, "share", lambda data: data)((function, args))

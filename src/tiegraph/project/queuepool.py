@@ -1,7 +1,5 @@
-"""Workers that SLURM starts: dask-jobqueue submits them as jobs, and cancels these when the run ends.
-
-What a job is (cores, memory, queue, walltime) stands in dask-jobqueue's own file, ``~/.config/dask/jobqueue.yaml``. The
-run begins with the first job that the queue has started; workers of later ones take part from the next stage on.
+"""Workers that SLURM starts as jobs, by dask-jobqueue: what a job is (cores, memory, queue, walltime) stands in its own
+file, ``~/.config/dask/jobqueue.yaml``.
 """
 
 import time

@@ -11,7 +11,6 @@ import tomli_w
 from pydantic import Field, ValidationError
 
 from tiegraph import papers
-from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.settings import DenseSettings, ShotsSettings
@@ -33,7 +32,6 @@ from tiegraph.mesh.tuning import Tuning as MeshTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.odometry.tuning import Tuning as OdometryTuning
-from tiegraph.plan.tuning import Tuning as PlanTuning
 from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.tuning import Tuning as ProductsTuning
 from tiegraph.report.settings import ReportSettings
@@ -54,24 +52,15 @@ else:
     import tomli as tomllib
 
 _SHOWN = 80  # characters of a wrong value in a message
-RUN_KEYS = (
-    "images",
-    "rig",
-    "camera",
-    "gnss",
-    "trajectory",
-    "start",
-    "times",
-    "preset",
-)  # of [run]: the inputs of a run
+RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "start", "times", "preset")
+"""Of [run]: the inputs of a run."""
 SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks"), "tolerance": ("evaluate", "tolerance_m")}
 """Inputs that are settings of a stage, so that only what follows it runs again when they change."""
 
 
 class Tunings(Section):
-    """The constants of the engines, and ``scene``, which they share: tables ``[tuning.<engine>]`` of
-    tiegraph.toml. They are the same for every user, so the command line does not show them; they can be changed for
-    measurements."""
+    """The constants of the engines, and ``scene``, which they share: tables ``[tuning.<engine>]`` of tiegraph.toml. The
+    same for every user, so the command line does not show them."""
 
     scene: SceneTuning = Field(default_factory=SceneTuning)
     scan: ScanTuning = Field(default_factory=ScanTuning)
@@ -275,7 +264,6 @@ def explain(error: Any, root: type[Section]) -> str:
 
 
 def _meant(name: str, known: Iterable[str], mark: str = "") -> str:
-    """The name that a wrong one probably means, else the known names."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"perhaps you meant {near[0]!r}{mark}" if near else f"known are {', '.join(known)}"
 
@@ -284,9 +272,7 @@ class VerbTunings(Tunings):
     """The constants of the stages, of which the verbs outside the pipeline use some, and the verbs' own: tables
     ``[tuning.<engine>]`` of the file ``--tuning``, for they have no run folder."""
 
-    calibrate: CalibrateTuning = Field(default_factory=CalibrateTuning)
     lidar: LidarTuning = Field(default_factory=LidarTuning)
-    plan: PlanTuning = Field(default_factory=PlanTuning)
     stations: StationsTuning = Field(default_factory=StationsTuning)
     watch: WatchTuning = Field(default_factory=WatchTuning)
 
@@ -311,7 +297,7 @@ def read_tunings(path: Path | None) -> VerbTunings:
     if path is None:
         return VerbTunings()
     if not path.exists():
-        raise SettingsError(f"--tuning {path}: not there; give a file with tables such as [tuning.calibrate]")
+        raise SettingsError(f"--tuning {path}: not there; give a file with tables such as [tuning.stations]")
     try:
         return _File.model_validate(read_file(path)).tuning
     except ValidationError as error:

@@ -115,8 +115,7 @@ def stage_keys(
 ) -> dict[str, str]:
     """The key of every stage, over its parts and the keys of what it needs.
 
-    The place of the sources (``PLACE``) counts only for the stages that need no other: these are made again for it, and
-    their results are the same.
+    The place of the sources (``PLACE``) counts only for stages that need no other, whose results it does not change.
     """
     keys: dict[str, str] = {}
     for stage in stages:
@@ -154,7 +153,6 @@ def read_object(path: Path) -> dict | None:
 Ledger = dict[str, list]
 """Name below the run folder -> [size, time in ns, digest], ["link", target], or [] if not read yet."""
 
-SET_ASIDE = "set_aside"
 _THREADS = 4  # reading and hashing release the interpreter's lock
 
 
@@ -238,8 +236,7 @@ def trouble(path: Path, entry: list, thorough: bool = False) -> str:
 
 
 def digest_of(ledger: Ledger, tops: Iterable[str]) -> str:
-    """16 hex digits over names and contents of the files at or below ``tops``, not over times and places: the target of
-    a link counts in the key of its stage."""
+    """16 hex digits over names and contents of the files at or below ``tops``, not over times and targets of links."""
     tops = tuple(tops)
     rows = [[n, *(e[:1] if e[:1] == ["link"] else e[-1:])] for n, e in sorted(ledger.items()) if covered(n, tops)]
     return hashlib.blake2b(json.dumps(rows).encode(), digest_size=8).hexdigest()
@@ -262,7 +259,7 @@ def put_aside(folder: Path, names: Sequence[str]) -> str:
     """Move files or folders to ``set_aside/<time>/``; the new place, "" if there are none."""
     if not names:
         return ""
-    place = f"{SET_ASIDE}/{datetime.now(timezone.utc):%Y%m%dT%H%M%S%f}"
+    place = f"set_aside/{datetime.now(timezone.utc):%Y%m%dT%H%M%S%f}"
     for name in names:
         target = folder / place / name
         target.parent.mkdir(parents=True, exist_ok=True)

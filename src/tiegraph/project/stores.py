@@ -119,9 +119,6 @@ def send(url: str, folder: Path, names: Sequence[str], reporter: Reporter) -> No
             reporter.advance()
 
 
-# --- inside ---------------------------------------------------------------------------------------------------------
-
-
 def _opened(url: str) -> tuple[Any, str]:
     """fsspec's file system of a URL, and the path in it."""
     remedy = "pip install 'tiegraph[stores]' (s3, gs, http)"

@@ -5,7 +5,6 @@ English, figures in metres."""
 import json
 from dataclasses import asdict
 from datetime import datetime, timezone
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -54,8 +53,7 @@ def client_page(run: RunFolder, settings: ReportSettings, seen: Scenery | None, 
 
 
 def worst(verdict: Verdict) -> list[str]:
-    """The worst problems, the worst first: contradictions come before warnings, which are ranked already; [] if the
-    run found nothing wrong."""
+    """The worst problems, the worst first: contradictions come before warnings, which are ranked already."""
     return [*verdict.contradictions, *verdict.warnings][:3]
 
 
@@ -98,8 +96,8 @@ def where(run: RunFolder, seen: Scenery | None) -> list[tuple[str, str]]:
 
 
 def times(run: RunFolder) -> tuple[str | None, str | None, float | None]:
-    """First and last exposure (ISO 8601, in UTC, or without a zone if none is known; None if the clock has no date)
-    and the seconds between them."""
+    """First and last exposure (ISO 8601, in UTC, or without a zone if none is known; None if the clock has no date) and
+    the seconds between them."""
     known = run.scene.time_s[np.isfinite(run.scene.time_s)] if run.scene is not None else np.zeros(0)
     if not len(known):
         return None, None, None
@@ -126,15 +124,6 @@ def when(run: RunFolder) -> list[tuple[str, str]]:
         taken = t("not known: the images carry no times")
     finished = [str(r["finished"]) for s, r in run.receipts.items() if r.get("finished") and s != "report"]
     return [(t("images taken"), taken), *([(t("processed"), max(finished)[:10])] if finished else [])]
-
-
-# --- for programs ---------------------------------------------------------------------------------------------------
-
-
-def schema() -> dict[str, Any]:
-    """The JSON schema (draft 2020-12) of report.json."""
-    text = files("tiegraph.report").joinpath("report.schema.json").read_text(encoding="utf-8")
-    return json.loads(text)  # type: ignore[no-any-return]
 
 
 def json_text(run: RunFolder, settings: ReportSettings) -> str:
@@ -178,8 +167,8 @@ def _counts(run: RunFolder) -> dict[str, Any]:
     return {
         "images": None if scene is None else len(scene) + run.hanging[0],
         "frames": None if scene is None else scene.frames,
-        "registered": None if m is None else int(m.registered.sum()),
-        "placed_by_rig": None if m is None else int(m.by_rig.sum()) + run.hanging[1],
+        "registered": None if m is None else int(m.images.registered.sum()),
+        "placed_by_rig": None if m is None else int(m.images.by_rig.sum()) + run.hanging[1],
         "models": 0 if m is None else 1 + len(m.others),
         "sparse_points": None if m is None else m.points,
         "cloud_points": None if c is None else c.count,

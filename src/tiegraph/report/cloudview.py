@@ -43,8 +43,7 @@ def standard_views(
     """Top view and two obliques from either side of the path (K, 3) of the cameras; up is +z, +y is north if stated:
     caption, picture (H, W, 3) u1, and the scale of the drawing (orthographic), pixels a unit.
 
-    Points (N, 3), colours (N, 3) u1. Views are cropped to the middle 98 % of the points, so that a few strays do not
-    shrink the rest.
+    Points (N, 3), colours (N, 3) u1. Views are cropped to the middle 98 % of the points.
     """
     keep = inliers(xyz)
     if not keep.any():
@@ -123,8 +122,7 @@ def _drawn(
 
 
 def _radius(column: np.ndarray, row: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(N,) half the mean distance of the points around each one and half a pixel, in pixels, from their number in 8 x 8
-    pixel cells."""
+    """(N,) half the mean distance of the points around each and half a pixel, by their number in 8 x 8 pixel cells."""
     cells = ((size[0] >> 3) + 1, (size[1] >> 3) + 1)
     cell = (row >> 3).astype(np.int64) * cells[1] + (column >> 3)
     count = np.bincount(cell, minlength=cells[0] * cells[1]).reshape(cells).astype(np.float32)
@@ -168,8 +166,8 @@ PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Colour scale of points (N,), NaN = not known: a value, ``signed`` if its zero is the middle of the colours,
-    or the number of one of ``names``."""
+    """Colour scale of points (N,), NaN = not known: a value, ``signed`` if its zero is the middle of the colours, or
+    the number of one of ``names``."""
 
     values: np.ndarray
     signed: bool = False
@@ -201,8 +199,7 @@ def viewer_data(
     """JSON-ready data of the view; None without points. Points far outside the others are left out and counted.
 
     ``scales`` of the points by name; ``images``: name, place (3,), picture as data URI or ""; ``offset`` (3,) of
-    displayed coordinates. A point takes nine bytes, three 16-bit coordinates within the box, three of colour, and one
-    more for each scale.
+    displayed coordinates. A point takes nine bytes, and one more for each scale.
     """
     keep = np.flatnonzero(inliers(seen.xyz, 0.998, 0.3))
     if not len(keep) or most < 1:
@@ -258,9 +255,6 @@ def viewer_script() -> str:
     return files("tiegraph.report").joinpath("viewer.js").read_text(encoding="utf-8")
 
 
-# --- of a run ----------------------------------------------------------------------------------------------------
-
-
 def views(run: RunFolder, seen: Scenery) -> list[tuple[str, str]]:
     """(name, data URI) of the static views of the cloud."""
     if run.cloud is None:
@@ -282,7 +276,7 @@ def viewer_part(run: RunFolder, seen: Scenery, most: int) -> dict[str, Any]:
 def _images(run: RunFolder, seen: Scenery) -> list[tuple[str, np.ndarray, str]]:
     """The images with their places, an even part of them with a small picture."""
     assert run.scene is not None and run.model is not None
-    placed = np.flatnonzero(run.model.placed)[:_IMAGES]
+    placed = np.flatnonzero(run.model.images.placed)[:_IMAGES]
     pictured = set(placed[np.linspace(0, len(placed) - 1, min(len(placed), _PICTURES)).astype(int)].tolist())
     out = []
     for at, k in zip(seen.path, placed):
@@ -336,7 +330,7 @@ def _nearest(at: np.ndarray, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def section_scale(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
     """The section that points (N, 3) lie in, that of the nearest camera; {} where there are not several."""
     assert run.scene is not None and run.model is not None
-    placed = np.flatnonzero(run.model.placed)
+    placed = np.flatnonzero(run.model.images.placed)
     numbers, of_camera = np.unique(run.scene.section[run.scene.frame[placed]], return_inverse=True)
     if len(numbers) < 2 or not len(xyz):
         return {}

@@ -127,7 +127,7 @@ def _sizes(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
 
 
 def _used(run: RunFolder) -> float:
-    return float(run.model.registered.sum()) if run.model is not None else np.nan
+    return float(run.model.images.registered.sum()) if run.model is not None else np.nan
 
 
 def _funnel(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
@@ -152,7 +152,6 @@ def _errors(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
 
 
 def _notes(runs: Sequence[RunFolder]) -> list[str]:
-    """Reasons against a direct comparison of the columns."""
     out = []
     scenes = [set(r.scene.names) for r in runs if r.scene is not None]
     if any(s != scenes[0] for s in scenes):
@@ -177,7 +176,6 @@ def ratio(values: Sequence[float]) -> str:
 
 
 def _tables(comparison: Comparison) -> list[formatting.Table]:
-    """The blocks as text; of two runs with a column of ratios."""
     two = len(comparison.names) == 2
     columns = ("", *comparison.names, *(["ratio"] if two else []))
     numeric = (False, *[True] * (len(columns) - 1))

@@ -230,9 +230,6 @@ def _class(look: str) -> str:
     return f' class="{look}"' if look else ""
 
 
-# --- pictures ------------------------------------------------------------------------------------------------------
-
-
 _WIDTH_PX = 1400  # of a picture of a file
 _IGNORED = "#d2283c"  # masked pixels
 CLASSES = (  # by number, as in the masks stage: name, colour; pixels used by their class may be left out too

@@ -76,11 +76,9 @@ _WORDS = {
 
 
 def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
-    """Write ``folder/report.html`` and ``report.json`` from the contents of the folder; stages that have not run are
-    left out.
+    """Write ``folder/report.html`` and ``report.json`` from its contents; stages that have not run are left out.
 
-    ``planned``: planned and reached values. Raises InputError if the folder contains no run, TiegraphError
-    if the disk is full.
+    ``planned``: planned and reached values. Raises InputError if the folder contains no run or the disk is full.
     """
     run = read_run(folder, VIEW_POINTS)
     target = folder / "report.html"
@@ -190,7 +188,7 @@ def _image_table(run: RunFolder, rows: list[summary.ImageRow]) -> formatting.Tab
     for row in rows:
         size = formatting.length(row.gsd, "m" if run.metric else t("units"))
         numbers = (formatting.count(row.points), formatting.count(row.ties), size)
-        body.append((row.name, said(row.state), summary.reason_text(row), *numbers))
+        body.append((row.name, said(row.state), t("; ").join(map(said, row.reason.split("; "))), *numbers))
     names = tuple(map(t, ("image", "state", "reason", "points seen", "verified pairs", "pixel on the surface")))
     return formatting.Table(names, tuple(body), (False, False, False, True, True, True)) if body else None
 
@@ -246,10 +244,10 @@ def _model(run: RunFolder) -> dict[str, Any]:
 
 def _model_facts(run: RunFolder, m: Model) -> list[tuple[str, str]]:
     whole = m.reconstruction
-    registered = formatting.count(int(m.registered.sum())), formatting.count(len(m.registered))
+    registered = formatting.count(int(m.images.registered.sum())), formatting.count(len(m.images.registered))
     out = [
         (t("registered images"), t("{} of {}", *registered)),
-        (t("images placed by the rig"), formatting.count(int(m.by_rig.sum()) + run.hanging[1])),
+        (t("images placed by the rig"), formatting.count(int(m.images.by_rig.sum()) + run.hanging[1])),
         (t("sparse points"), formatting.count(m.points)),
         (t("observations of an image"), formatting.number(whole.compute_mean_observations_per_reg_image())),
         (t("images of a point (track length)"), formatting.number(whole.compute_mean_track_length())),
@@ -265,7 +263,6 @@ def _model_facts(run: RunFolder, m: Model) -> list[tuple[str, str]]:
 
 
 def _lenses(model: Model) -> list[tuple[Markup, str]]:
-    """(chart, caption) of each camera's residuals over its image; all enlarged alike."""
     known = {k: lens for k, lens in model.lenses.items() if len(lens.at)}
     longest = {k: float(np.linalg.norm(lens.moved, axis=1).max()) for k, lens in known.items()}
     widest = max((lens.size[0] for lens in known.values()), default=0)
@@ -281,7 +278,7 @@ def _lenses(model: Model) -> list[tuple[Markup, str]]:
 
 def _residuals(run: RunFolder) -> Markup | None:
     """The fit of the frames to their positions, a panel for each component; outliers in red."""
-    rows = [r for r in (run.world or {}).get("frames") or [] if isinstance(r, dict) and _three(r.get("residual_m"))]
+    rows = [r for r in (run.world or {}).get("frames") or [] if np.shape(r.get("residual_m")) == (3,)]
     scene = run.scene
     if scene is None or len(rows) < 2:
         return None
@@ -299,10 +296,6 @@ def _residuals(run: RunFolder) -> Markup | None:
         for c, name in enumerate((t("east, m"), t("north, m"), t("up, m")))
     ]
     return plot(panels, t("frame"), t("Fit to the given positions"))
-
-
-def _three(value: Any) -> bool:
-    return isinstance(value, (list, tuple)) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
 
 
 def _space(run: RunFolder, seen: maps.Scenery | None, settings: ReportSettings) -> dict[str, Any]:

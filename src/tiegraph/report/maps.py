@@ -44,8 +44,7 @@ _OVERLAP = ((2, "#c8442b"), (3, "#e69f00"), (4, "#f0e08c"), (6, "#7fb8d0"), (10,
 
 @dataclass(frozen=True)
 class Track:
-    """A pass on the map: name, positions (T, 3) of its frames in order (NaN = not registered), and the probable
-    positions of the missing ones (M, 3)."""
+    """A pass: positions (T, 3) of its frames in order (NaN = not registered), probable ones (M, 3) of the missing."""
 
     name: str
     positions: np.ndarray
@@ -102,8 +101,8 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Common data of all maps and views, upright: passes, given positions (K, 3), points (N, 3) with colours, and
-    how many images see each (0 = not known)."""
+    """Common data of all maps and views, upright: passes, given positions (K, 3), points (N, 3) with colours, and how
+    many images see each (0 = not known)."""
 
     tracks: list[Track]
     xyz: np.ndarray
@@ -116,13 +115,26 @@ class Scenery:
 
     @cached_property
     def place(self) -> Place:
-        """The extent of the maps."""
-        return _place_of(self)
+        """The passes, their surroundings, and most of the surface if it is near; neither too tall nor too flat."""
+        way = np.concatenate([np.zeros((0, 3)), *(at for track in self.tracks for at in (track.seen, track.missing))])
+        way = (way if len(way) else self.given if len(self.given) else np.zeros((1, 3)))[:, :2]
+        low, high = way.min(axis=0), way.max(axis=0)
+        size = max(float(np.max(high - low)), 1e-6)
+        pad = 0.22 * size + np.maximum(0, 0.6 * size - (high - low)) / 2
+        low, high = low - pad, high + pad
+        if len(self.xyz):
+            most = np.quantile(self.xyz[:: max(1, len(self.xyz) // _SAMPLE), :2], [_STRAYS, 1 - _STRAYS], axis=0)
+            reach, beside = _FAR * float(np.max(high - low)), _STRAYS * float(np.max(most[1] - most[0]))
+            least, greatest = np.maximum(most[0] - beside, low - reach), np.minimum(most[1] + beside, high + reach)
+            low, high = np.minimum(low, least), np.maximum(high, greatest)
+        size = high - low
+        pad = (np.array([max(size[0], size[1] / _TALLEST), max(size[1], _FLATTEST * size[0])]) - size) / 2
+        return Place(low - pad, high + pad, self.unit)
 
 
 def scenery(run: RunFolder) -> Scenery | None:
     """None without a model."""
-    if run.scene is None or run.model is None or not run.model.placed.any():
+    if run.scene is None or run.model is None or not run.model.images.placed.any():
         return None
     upright = np.eye(3)
     if not run.world:
@@ -139,29 +151,10 @@ def scenery(run: RunFolder) -> Scenery | None:
         xyz=xyz @ upright.T,
         rgb=rgb,
         views=run.cloud.views if run.cloud is not None else np.zeros(len(xyz)),
-        path=run.model.centres[run.model.placed] @ upright.T,
+        path=run.model.centres[run.model.images.placed] @ upright.T,
         unit="m" if run.metric else t("units"),
         north=run.georeferenced,
     )
-
-
-def _place_of(seen: "Scenery") -> Place:
-    """The passes, their surroundings, and most of the surface that they survey, if it is near; neither too tall nor too
-    flat."""
-    way = np.concatenate([np.zeros((0, 3)), *(at for track in seen.tracks for at in (track.seen, track.missing))])
-    way = (way if len(way) else seen.given if len(seen.given) else np.zeros((1, 3)))[:, :2]
-    low, high = way.min(axis=0), way.max(axis=0)
-    size = max(float(np.max(high - low)), 1e-6)
-    pad = 0.22 * size + np.maximum(0, 0.6 * size - (high - low)) / 2
-    low, high = low - pad, high + pad
-    if len(seen.xyz):
-        most = np.quantile(seen.xyz[:: max(1, len(seen.xyz) // _SAMPLE), :2], [_STRAYS, 1 - _STRAYS], axis=0)
-        reach, beside = _FAR * float(np.max(high - low)), _STRAYS * float(np.max(most[1] - most[0]))
-        least, greatest = np.maximum(most[0] - beside, low - reach), np.minimum(most[1] + beside, high + reach)
-        low, high = np.minimum(low, least), np.maximum(high, greatest)
-    size = high - low
-    pad = (np.array([max(size[0], size[1] / _TALLEST), max(size[1], _FLATTEST * size[0])]) - size) / 2
-    return Place(low - pad, high + pad, seen.unit)
 
 
 def survey_map(seen: Scenery) -> Markup:
@@ -233,8 +226,7 @@ def _drawn(seen: Scenery, uri: str, key: Sequence[tuple[str, str]], label: str, 
 
 
 def _raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int) -> str:
-    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI, transparent elsewhere; the last point of
-    a pixel is visible."""
+    """Points (K, 2+) with colours (K, 3) u1 from above as a PNG data URI; the last point of a pixel is visible."""
     inside, cell, size = _cells_of(place, xy, pixels)
     out = np.zeros((size[1] * size[0], 4), np.uint8)
     out[cell] = np.column_stack([rgb[inside], np.full(len(cell), 255)])

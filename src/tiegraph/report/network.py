@@ -53,8 +53,7 @@ def tied(pairs: Pairs) -> Pairs:
 def _matrix(
     pairs: Pairs, rank: np.ndarray, scene: Scene, colours: Sequence[str], key: Sequence[tuple[str, str]], label: str
 ) -> Markup:
-    """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k; of those on one pixel the
-    highest rank is visible."""
+    """The matrix of the images by pass, camera and step, pairs of rank k or -k in colour k, the highest on top."""
     n = max(len(scene), 1)
     order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
     labels = scene.image_label()
@@ -116,18 +115,9 @@ def step_name(name: str) -> str:
     return f"{t('dropped')}: {said(reason)}" if reason else said(head)
 
 
-def degrees(pairs: Pairs, images: int) -> Markup:
-    """Histogram of how many verified (or else planned) pairs an image has."""
-    label = t("ties of an image (red: fewer than {})", FEW_TIES)
-    return histogram(ties(pairs, images), FEW_TIES, label, t("images"))
-
-
 def ties(pairs: Pairs, images: int) -> np.ndarray:
     """(N,) verified, or else planned, pairs of each image."""
     return tied(pairs).degree(images)
-
-
-# --- the part of the page ------------------------------------------------------------------------------------------
 
 
 _NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
@@ -162,7 +152,8 @@ def network_part(run: RunFolder) -> dict[str, Any]:
         out["matrices"] = [looked_at(before, run.scene), holding(pairs, run.scene)]
         rows = funnel_rows(pairs, run.network)
         out["funnel"], out["table"] = funnel(rows), _funnel_table(rows, len(run.scene))
-        out["degrees"] = degrees(pairs, len(run.scene))
+        label = t("ties of an image (red: fewer than {})", FEW_TIES)
+        out["degrees"] = histogram(ties(pairs, len(run.scene)), FEW_TIES, label, t("images"))
     notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
     sentences = [note if note.endswith((".", "!", "?")) else f"{note}." for note in map(capital, run.notes("coarse"))]
     out |= {"model": sentences, "notes": list(notes.items()), "links": [], "tables": []}
@@ -185,7 +176,6 @@ def _title(stage: str) -> str:
 
 
 def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
-    """(data URI, caption) of the pictures of the network stage and the design."""
     found, order = [], list(_CAPTIONS)
     for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
         title = path.stem.replace("curve", "offset")

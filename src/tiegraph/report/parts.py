@@ -84,9 +84,6 @@ def evidence_table(run: RunFolder) -> Table | None:
     return formatting.table({"columns": columns, "rows": rows})
 
 
-# --- references -----------------------------------------------------------------------------------------------------
-
-
 PASSES = "one pass against the other, M3C2"  # a table shown in the section on accuracy
 _AGAINST = "cloud against reference"
 
@@ -131,8 +128,7 @@ def _shares(rows: list[list[float]]) -> Markup:
 
 
 def _value(run: RunFolder, metric: dict) -> tuple[Markup, str]:
-    """A figure, marked, and its unit: for lengths the most readable one, in a model without scale
-    the model's."""
+    """A figure, marked, and its unit: the most readable one, in a model without scale the model's."""
     value, key, unit = metric.get("value"), f"metrics.{metric['name']}", metric.get("unit") or ""
     if unit == "m" and str(metric["name"]).startswith(("backprojection", "passes")) and not run.metric:
         unit = t("units")
@@ -173,9 +169,6 @@ def metric_text(name: str) -> str:
     return text.replace(" m translation", " m, translation").replace(" m rotation", " m, rotation")
 
 
-# --- the rig --------------------------------------------------------------------------------------------------------
-
-
 def rig_table(run: RunFolder) -> Table | None:
     """Cameras: model, focal length, pose in the rig as refined, and its distance from the nominal one."""
     if run.scene is None or run.model is None:
@@ -198,9 +191,6 @@ def rig_table(run: RunFolder) -> Table | None:
     filled = [c for c in range(len(columns)) if any(r[c] is not None for r in rows)]
     data = {"columns": [columns[c] for c in filled], "rows": [[r[c] for c in filled] for r in rows]}
     return formatting.table(data, t("Cameras as adjusted"))
-
-
-# --- time and memory, settings, versions ----------------------------------------------------------------------------
 
 
 def effort(run: RunFolder) -> dict[str, Any]:

@@ -69,21 +69,6 @@ class Model:
     others: tuple[int, ...] = ()
 
     @property
-    def placed(self) -> np.ndarray:
-        """(N,) bool: has a pose."""
-        return self.images.placed
-
-    @property
-    def registered(self) -> np.ndarray:
-        """(N,) bool: sees points with small residuals."""
-        return self.images.registered
-
-    @property
-    def by_rig(self) -> np.ndarray:
-        """(N,) bool: has its pose from the rig, or from very few points."""
-        return self.images.by_rig
-
-    @property
     def centres(self) -> np.ndarray:
         """(N, 3) projection centres."""
         return self.world_from_camera[:, :3, 3]
@@ -209,7 +194,9 @@ class RunFolder:
         whole = _try(self.path / "whole.json", _scene)
         if whole is None or self.scene is None:
             return ()
-        placed = self.model.placed if self.model is not None and self.hanging[1] else np.zeros(len(self.scene), bool)
+        placed = (
+            self.model.images.placed if self.model is not None and self.hanging[1] else np.zeros(len(self.scene), bool)
+        )
         frames = {int(whole.frame[whole.image_index[n]]) for n, has in zip(self.scene.names, placed) if has}
         return tuple((whole.names[k], int(whole.frame[k]) in frames) for k in np.flatnonzero(~carries(whole)))
 

@@ -53,7 +53,7 @@ def verdict(run: RunFolder) -> Verdict:
 
 def _level(run: RunFolder, found: tuple[str, ...]) -> tuple[str, str]:
     assert run.model is not None
-    share = float(np.mean(run.model.registered)) if len(run.model.registered) else 0.0
+    share = float(np.mean(run.model.images.registered)) if len(run.model.images.registered) else 0.0
     answer = run.accuracy.answer if run.accuracy is not None else None
     unplaced = run.done("georef") and not run.georeferenced
     if share < POOR_SHARE:
@@ -77,8 +77,8 @@ def _pairs_sentence(run: RunFolder) -> str:
 
 def _registered_sentence(run: RunFolder) -> str:
     assert run.model is not None
-    registered, total = int(run.model.registered.sum()), len(run.model.registered)
-    by_rig, (hanging, posed) = int(run.model.by_rig.sum()), run.hanging
+    registered, total = int(run.model.images.registered.sum()), len(run.model.images.registered)
+    by_rig, (hanging, posed) = int(run.model.images.by_rig.sum()), run.hanging
     more = rest = ""
     if by_rig:
         text = "; the pose of {} more comes from the rig, because fewer than {} points are seen"
@@ -158,7 +158,7 @@ def what_was_done(run: RunFolder) -> list[str]:
     out = [many(passes, "{} images of {} frames in {} pass", "{} images of {} frames in {} passes", *figures)]
     out = out if passes else [t("{} loose photographs", figures[0])]
     if run.model is not None:
-        out.append(t("{} of them used in the model", formatting.percent(float(np.mean(run.model.registered)))))
+        out.append(t("{} of them used in the model", formatting.percent(float(np.mean(run.model.images.registered)))))
     if run.cloud is not None:
         out.append(t("a cloud of {} points", count(run.cloud.count)))
     return out
@@ -170,7 +170,9 @@ def tiles(run: RunFolder) -> list[tuple[str, str]]:
     if run.scene is not None and run.model is None:
         out.append((count(len(run.scene)), t("images")))
     if run.model is not None:
-        out.append((f"{int(run.model.registered.sum())} / {len(run.model.registered)}", t("registered images")))
+        out.append(
+            (f"{int(run.model.images.registered.sum())} / {len(run.model.images.registered)}", t("registered images"))
+        )
     if run.pairs is not None:
         label = t("verified pairs") if is_matched(run.pairs) else t("pairs to match")
         out.append((count(len(tied(run.pairs))), label))
@@ -194,7 +196,7 @@ def registered_tables(run: RunFolder) -> list[Table]:
     """Registered of all images: a matrix of passes and cameras, and by section; those posed by their rig beside."""
     if run.scene is None or run.model is None:
         return []
-    scene, registered, by_rig = run.scene, run.model.registered, run.model.by_rig
+    scene, registered, by_rig = run.scene, run.model.images.registered, run.model.images.by_rig
     of_pass, of_camera = np.array(scene.image_label()).reshape(-1, 2).T
     every = np.ones(len(scene), bool)
     passes = {p or t("(loose)"): of_pass == p for p in (*scene.sequences, "") if np.any(of_pass == p)}
@@ -237,9 +239,6 @@ def georeference_sentences(world: dict[str, Any]) -> list[str]:
             text = "The model was adjusted together with its positions and control points, not only shifted to them."
         out.append(t(text))
     return out
-
-
-# --- warnings, and every image --------------------------------------------------------------------------------------
 
 
 _WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
@@ -288,13 +287,13 @@ def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:
             2,
             many(few, f"The place of {{}} frame rests {rest}", f"The places of {{}} frames rest {rest}", count(few)),
         )
-    registered = run.model.registered
+    registered = run.model.images.registered
     several_passes = len(run.scene.sequences) > 1
     labels = np.array([" ".join(x).strip() if several_passes else x[1] for x in run.scene.image_label()])
     for label in dict.fromkeys(labels):
         of = labels == label
         if label and np.mean(registered[of]) < 0.5:
-            by_rig = int(run.model.by_rig[of].sum())
+            by_rig = int(run.model.images.by_rig[of].sum())
             more = t("; {} more have poses by their rig.", by_rig) if by_rig else t(".")
             text = "Of {} only {} of {} images are registered{}"
             yield 2, t(text, str(label), int(registered[of].sum()), int(of.sum()), more)
@@ -341,7 +340,7 @@ def image_rows(run: RunFolder) -> list[ImageRow]:
     sparse, georef, dense = (dict(run.dropped(stage)) for stage in ("sparse", "georef", "dense"))
     pairs = ties(run.pairs, len(run.scene)).tolist() if run.pairs is not None else [None] * len(run.scene)
     for k, name in enumerate(run.scene.names):
-        state = REGISTERED if m.registered[k] else BY_RIG if m.by_rig[k] else ABSENT
+        state = REGISTERED if m.images.registered[k] else BY_RIG if m.images.by_rig[k] else ABSENT
         points, known = int(m.images.points[k]), [found[name] for found in (sparse, georef) if name in found]
         if state == BY_RIG:
             known = known or [f"sees {points} points that agree, fewer than {m.images.min_points}"]
@@ -362,8 +361,3 @@ def counts(rows: list[ImageRow]) -> list[tuple[str, int]]:
     """(state in words, images) of each state that occurs."""
     found = [(said(state), sum(row.state == state for row in rows)) for state in STATES]
     return [row for row in found if row[1]]
-
-
-def reason_text(row: ImageRow) -> str:
-    """The reason in the language of the page, as far as its parts are known."""
-    return t("; ").join(said(part) for part in row.reason.split("; ")) if row.reason else ""

@@ -11,6 +11,9 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_sigma
 from tiegraph.stations.loops import Part, adjusted, contradicted, motion, parts, taken_apart
 from tiegraph.stations.pairs import (
+    LEAST_OVERLAP,
+    LEAST_POINTS,
+    MEET,
     Level,
     Pair,
     Sample,
@@ -76,7 +79,7 @@ def join(
     pairs = contradicted(_first_pairs(stations, tuning, told), *agreeing)
     found = _adjusted_parts(pairs, len(stations))
     for _ in range(3):  # further pairs that the adjusted poses say overlap, until there are none
-        more = _further(stations, pairs, found, tuning)
+        more = _further(stations, pairs, found)
         if not more:
             break
         anew = {(p.first, p.second) for p in more}
@@ -101,13 +104,11 @@ def _loops_m(found: Sequence[Part]) -> dict[tuple[int, int], np.ndarray]:
 
 
 def _points_shown(stations: Sequence[Station]) -> list[np.ndarray]:
-    """Some points (N, 3) of each station, which say how far an error moves it."""
     return [s.coarse.xyz[:: max(1, len(s.coarse.xyz) // 200)] for s in stations]
 
 
 def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[int, int], None]) -> list[Pair]:
-    """Pairs of stations by their known poses where both have one, else by their shapes: all, or of many stations those
-    that look alike or follow each other."""
+    """Pairs by known poses where both have one, else by shapes: all, or of many stations those alike or following."""
     asked = list(combinations(range(len(stations)), 2))
     if len(stations) > tuning.all_pairs:
         usual = np.array([s.shape.described.mean(axis=0) for s in stations])
@@ -119,7 +120,7 @@ def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[in
     for done, (i, j) in enumerate(asked, 1):
         known, other = stations[i].known, stations[j].known
         if known is not None and other is not None:
-            pair = _by_poses(stations, i, j, transforms.invert(known) @ other, tuning)
+            pair = _by_poses(stations, i, j, transforms.invert(known) @ other)
         else:
             pair = from_shapes(i, j, stations, tuning)
         if pair is not None:
@@ -128,15 +129,15 @@ def _first_pairs(stations: Sequence[Station], tuning: Tuning, told: Callable[[in
     return out
 
 
-def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray, tuning: Tuning) -> Pair | None:
+def _by_poses(stations: Sequence[Station], i: int, j: int, start: np.ndarray) -> Pair | None:
     """A pair from poses; None if these say that the clouds do not overlap."""
-    a, b, limits = stations[i], stations[j], tuning.pair
-    if met(a.coarse, b.coarse, start, limits).overlap < limits.least_overlap / 2:
+    a, b = stations[i], stations[j]
+    if met(a.coarse, b.coarse, start).overlap < LEAST_OVERLAP / 2:
         return None
-    return from_start(i, j, stations, start, tuning)
+    return from_start(i, j, stations, start)
 
 
-def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence[Part], tuning: Tuning) -> list[Pair]:
+def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence[Part]) -> list[Pair]:
     """Pairs that overlap by the adjusted poses and have not been believed yet, laid on each other from there."""
     close, points = stations[0].coarse.side, _points_shown(stations)
     believed = {(p.first, p.second) for p in pairs if not p.why_not}
@@ -146,7 +147,7 @@ def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence
             if (i, j) in believed:
                 continue
             start = transforms.invert(part.poses[i]) @ part.poses[j]
-            pair = _by_poses(stations, i, j, start, tuning)
+            pair = _by_poses(stations, i, j, start)
             if pair is None or pair.why_not:
                 continue
             if motion(pair.first_from_second @ transforms.invert(start), points[i]) <= close:
@@ -195,9 +196,6 @@ def _laid_on_known(stations: Sequence[Station], part: Part) -> np.ndarray:
     return transforms.rigid(turn, np.mean([there - turn @ here for there, here in places], axis=0))
 
 
-# --- precision by distance, of surfaces that several clouds saw -------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Band:
     """Points at some distance from what took them: robust sigma of their distance along the line of sight from the
@@ -222,16 +220,16 @@ def by_distance(stations: Sequence[Station], poses: np.ndarray, pairs: Sequence[
         for own, other in ((pair.first, pair.second), (pair.second, pair.first)):
             a, b = stations[own], stations[other]
             fit = b.shift @ transforms.invert(poses[other]) @ poses[own] @ a.shift_back
-            found.append(_off(a.sample, b.levels[-1], fit, tuning))
+            found.append(_off(a.sample, b.levels[-1], fit))
     rows = np.concatenate(found)
-    return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision.bands, tuning.pair.least_points)
+    return _bands(rows[np.isfinite(rows[:, 0])], tuning.precision.bands)
 
 
-def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.ndarray:
+def _off(sample: Sample, level: Level, fit: np.ndarray) -> np.ndarray:
     """(M, 3) distance from the station, along the line of sight from the other's surface, and sigma stated, of the
     points that lie on it and see it not too obliquely."""
     moved = transforms.apply(fit, sample.xyz)
-    away, at = level.tree.query(moved, distance_upper_bound=tuning.pair.meet * level.side)
+    away, at = level.tree.query(moved, distance_upper_bound=MEET * level.side)
     near = np.flatnonzero(np.isfinite(away))
     normal = level.normal[at[near]]
     sight = sample.ray[near] @ fit[:3, :3].T
@@ -241,16 +239,16 @@ def _off(sample: Sample, level: Level, fit: np.ndarray, tuning: Tuning) -> np.nd
     return np.column_stack([sample.distance_m[near], off / np.maximum(straight, 1e-3), sample.sigma_m[near]])[seen]
 
 
-def _bands(rows: np.ndarray, most: int, least_points: int) -> list[Band]:
+def _bands(rows: np.ndarray, most: int) -> list[Band]:
     """Bands of equal width over what 98 % of the points are in, those with enough of them."""
-    if len(rows) < least_points:
+    if len(rows) < LEAST_POINTS:
         return []
     low, high = np.percentile(rows[:, 0], [1, 99])
     edges = np.linspace(low, high, most + 1)
     out = []
     for low, high in zip(edges, edges[1:]):
         inside = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
-        if len(inside) < least_points:
+        if len(inside) < LEAST_POINTS:
             continue
         stated = inside[np.isfinite(inside[:, 2]), 2]
         usual = float(np.median(stated)) if len(stated) else np.nan

@@ -21,8 +21,7 @@ def motion(error: np.ndarray, xyz: np.ndarray) -> float:
 def contradicted(pairs: Sequence[Pair], points: Sequence[np.ndarray], close_m: float) -> list[Pair]:
     """The pairs; those that are contradicted by more loops of three than bear them out, worst first, have a reason.
 
-    ``points``: some (N, 3) of each station, which say what a loop that does not close moves; ``close_m``: how far at
-    most.
+    ``points``: some (N, 3) of each station, which say how far an open loop moves it; ``close_m``: how far at most.
     """
     by_ends = {(p.first, p.second): p for p in pairs if not p.why_not}
     loops = _loops(by_ends, points)
@@ -110,9 +109,6 @@ def parts(count: int, pairs: Sequence[Pair]) -> np.ndarray:
     """(count,) the number of the part that each station hangs together with."""
     i, j = np.array([(p.first, p.second) for p in pairs if not p.why_not], int).reshape(-1, 2).T
     return graph.parts(i, j, count)
-
-
-# --- adjustment: along the best tree first, then all pairs together by their information ------------------------------
 
 
 _DIFFERENCE = 1e-6  # rad and metres

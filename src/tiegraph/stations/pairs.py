@@ -12,9 +12,18 @@ from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, robust_sigma
 from tiegraph.geometry.coarse import Shape, motions, normals, shape_of, side_for, thinned
-from tiegraph.stations.tuning import PairTuning, Tuning
+from tiegraph.stations.tuning import Tuning
 
+MEET = 1.2
+"""To the nearest point at most, in voxels of the level, to be counted as overlap: the means of two grids on one surface
+are at most so far apart."""
+LEAST_POINTS = 200
+"""Of a thinned cloud that lie on the other, of a cloud altogether, and of a band of distances."""
+LEAST_OVERLAP = 0.2
+"""Share of the points of the cloud that overlaps more. Stations are planned for 30 to 60 %."""
 _UPWARDS = np.array([0.36, 0.48, 0.8])  # walls have a side too
+_LEVELS = 1.0, 0.5, 0.25  # coarse voxels of the refinement, one after another: the last has 40 000 points a cloud
+_RESIDUAL = 2.0  # robust sigma of the distances between surfaces over their own roughness, at most
 
 
 @dataclass(frozen=True)
@@ -107,14 +116,11 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
     middle = np.median(shot.xyz, axis=0)
     xyz = shot.xyz - middle
     shape = shape_of(xyz, side, tuning.coarse, *shot.seen_from())
-    if len(shape.xyz) < tuning.pair.least_points:
+    if len(shape.xyz) < LEAST_POINTS:
         raise ValueError(
             f"only {len(shape.xyz)} voxels of {side:.3g} m have points: its surface is too small beside the others'"
         )
-    levels = [
-        Level(thinned(xyz, side * share)[0], side * share, tuning.coarse.normal_neighbours)
-        for share in tuning.pair.levels
-    ]
+    levels = [Level(thinned(xyz, side * share)[0], side * share, tuning.coarse.normal_neighbours) for share in _LEVELS]
     known = None
     if shot.known is not None:
         known = shot.known.copy()
@@ -168,9 +174,6 @@ def spacing_of(xyz: np.ndarray, from_origin: bool) -> np.ndarray:
     return np.interp(away, middle, [float(np.median(third[p])) for p in parts])
 
 
-# --- two stations ----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Met:
     """Points of one level that lie on the surface of another: rows of the source and the target (M,), residuals (M,)
@@ -212,10 +215,10 @@ def refined(target: Level, source: Level, start: np.ndarray) -> np.ndarray:
     return fit
 
 
-def met(target: Level, source: Level, fit: np.ndarray, tuning: PairTuning) -> Met:
+def met(target: Level, source: Level, fit: np.ndarray) -> Met:
     """Which points of the source lie on the target."""
     moved = transforms.apply(fit, source.xyz)
-    reach = tuning.meet * target.side
+    reach = MEET * target.side
     away, at = target.tree.query(moved, distance_upper_bound=reach)
     near = np.flatnonzero(np.isfinite(away))
     turned = source.normal[near] @ fit[:3, :3].T
@@ -233,8 +236,7 @@ def held(target: Level, source: Level, fit: np.ndarray, found: Met) -> tuple[np.
     """How well the surfaces hold a fit: middle (3,) of the overlap in the target's frame, information (6, 6) of turn
     (rad) and shift (m) about it, and smallest over largest eigenvalue of the equations, all unknowns in metres.
 
-    By the equations of points against planes; points of a sixth of the longest side err together (a sandwich of
-    clusters).
+    By the equations of points against planes; those of a sixth of the longest side err together.
     """
     xyz = transforms.apply(fit, source.xyz[found.source])
     normal = target.normal[found.target]
@@ -287,16 +289,16 @@ class Pair:
 def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tuning) -> Pair | None:
     """Two stations without a start; None if no place shows at all."""
     a, b = stations[first], stations[second]
-    limit = tuning.pair.residual * float(np.hypot(a.coarse.rough, b.coarse.rough))
+    limit = _RESIDUAL * float(np.hypot(a.coarse.rough, b.coarse.rough))
     places = []
     for motion in motions(b.shape, a.shape, a.coarse.side, tuning.coarse):
         fit = refined(a.coarse, b.coarse, motion.target_from_source)
-        places.append((met(a.coarse, b.coarse, fit, tuning.pair).agree(limit), fit))
+        places.append((met(a.coarse, b.coarse, fit).agree(limit), fit))
     if not places:
         return None
     places.sort(key=lambda p: -p[0])
     (agree, best), others = places[0], places[1:]
-    pair = from_start(first, second, stations, best, tuning)
+    pair = from_start(first, second, stations, best)
     if pair.why_not:
         return pair
     apart = tuning.coarse.apart * a.coarse.side
@@ -309,16 +311,16 @@ def from_shapes(first: int, second: int, stations: Sequence[Station], tuning: Tu
     return pair
 
 
-def from_start(first: int, second: int, stations: Sequence[Station], start: np.ndarray, tuning: Tuning) -> Pair:
+def from_start(first: int, second: int, stations: Sequence[Station], start: np.ndarray) -> Pair:
     """Two stations from a start (4, 4), refined level by level and judged at each."""
-    a, b, limits, fit = stations[first], stations[second], tuning.pair, np.asarray(start, float)
+    a, b, fit = stations[first], stations[second], np.asarray(start, float)
     for target, source in zip(a.levels, b.levels):
         fit = refined(target, source, fit)
-        found = met(target, source, fit, limits)
+        found = met(target, source, fit)
         rough, why = float(np.hypot(target.rough, source.rough)), ""
-        if found.overlap < limits.least_overlap or len(found.source) < limits.least_points:
+        if found.overlap < LEAST_OVERLAP or len(found.source) < LEAST_POINTS:
             why = f"only {found.overlap:.0%} overlap at best"
-        elif found.sigma_m > limits.residual * rough:
+        elif found.sigma_m > _RESIDUAL * rough:
             why = f"the surfaces differ by {found.sigma_m:.2g} m where they are rough to {rough:.2g} m"
         if why:
             break
@@ -336,7 +338,7 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
         return pair
     middle, information, _ = held(target, source, fit, found)
     pair = replace(pair, middle=middle, information=information, through=looked_through(a, b, fit))
-    _, _, open_share = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit, limits))
+    _, _, open_share = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit))
     # A plane, sphere, cylinder or edge has 0.00007 to 0.0004, a relief of 10 mm on 0.4 m 0.0024, an object 0.007.
     if open_share < 0.001:
         return pair.refused(f"the surfaces slide along each other (held to {open_share:.1g} of what a corner holds)")
@@ -373,6 +375,5 @@ def _share(looking: Station, other: Station, fit: np.ndarray) -> float:
 
 
 def _distances(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (N,) and directions (N, 3) of vectors (N, 3)."""
     length = np.linalg.norm(xyz, axis=1)
     return length, xyz / np.maximum(length, 1e-12)[:, None]

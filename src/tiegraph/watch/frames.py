@@ -11,7 +11,12 @@ from tiegraph.geometry.transforms import normal_matrices
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig, pixel_rays
 from tiegraph.scene.scene import Scene
-from tiegraph.watch.tuning import FramesTuning
+
+_PARTNERS = 16  # images with a pose, of those tied to a frame most, whose ties give its points
+_LEAST_ANGLE_DEG = 1.5  # between the rays of a point: an error of a pixel of a preview is 0.1 to 0.2 degrees
+_RAY_DEG = 0.5  # between a ray of a point and the point: three pixels of a preview of 400 pixels and 70 degrees
+LEAST_POINTS = 12
+"""Points that a frame's pose needs."""
 
 Resect = Callable[[Rig, np.ndarray, np.ndarray, np.ndarray], "np.ndarray | None"]
 """(rig, sensor (K,), xy (K, 2), points (K, 3)) -> rig_from_world (4, 4), or None"""
@@ -32,9 +37,7 @@ class Known:
         return np.all(np.isfinite(self.poses), axis=(1, 2))
 
 
-def place_frames(
-    scene: Scene, ties: PreviewMatches, known: Known, frames: Sequence[int], resect: Resect, tuning: FramesTuning
-) -> np.ndarray:
+def place_frames(scene: Scene, ties: PreviewMatches, known: Known, frames: Sequence[int], resect: Resect) -> np.ndarray:
     """The poses (N, 4, 4) with those frames placed that can be, each by those placed before it.
 
     Images of a frame of which another has a pose already are placed by the rig.
@@ -46,7 +49,7 @@ def place_frames(
         rig = known.rigs[scene.rig[frame]]
         rig_from_world = _by_sibling(own, scene, rig, poses)
         if rig_from_world is None:
-            rig_from_world = _resected(own, scene, ties, now, resect, tuning)
+            rig_from_world = _resected(own, scene, ties, now, resect)
         if rig_from_world is None:
             continue
         for image in own:
@@ -64,16 +67,14 @@ def _by_sibling(own: np.ndarray, scene: Scene, rig: Rig, poses: np.ndarray) -> n
     return None
 
 
-def _resected(
-    own: np.ndarray, scene: Scene, ties: PreviewMatches, known: Known, resect: Resect, tuning: FramesTuning
-) -> np.ndarray | None:
+def _resected(own: np.ndarray, scene: Scene, ties: PreviewMatches, known: Known, resect: Resect) -> np.ndarray | None:
     """rig_from_world of a frame's images (K,)."""
     placed, count = known.placed(), ties.counts()
     inward = np.isin(ties.i, own) & placed[ties.j]
     outward = np.isin(ties.j, own) & placed[ties.i]
     ends = np.concatenate([ties.j[inward], ties.i[outward]])
     weight = np.bincount(ends, np.concatenate([count[inward], count[outward]]), len(scene))
-    partners = np.argsort(-weight, kind="stable")[: tuning.partners]
+    partners = np.argsort(-weight, kind="stable")[:_PARTNERS]
     group = np.concatenate([own, partners[weight[partners] > 0]])
     inside = ties.where(np.isin(ties.i, group) & np.isin(ties.j, group) & (count > 0))
     track, image, feature = inside.observations()
@@ -86,27 +87,27 @@ def _resected(
         xy[at] = known.keypoints(int(k))[feature[at]]
         rays[at] = pixel_rays(known.cameras[int(k)], xy[at])
     seen = placed[image] & np.isfinite(rays).all(axis=1)
-    points = _points(rays[seen], known.poses[image[seen]], track[seen], int(track.max()) + 1, tuning)
+    points = _points(rays[seen], known.poses[image[seen]], track[seen], int(track.max()) + 1)
     new = np.isin(image, own) & np.isfinite(points[track, 0])
-    if new.sum() < tuning.least_points:
+    if new.sum() < LEAST_POINTS:
         return None
     rig = known.rigs[scene.rig[scene.frame[own[0]]]]
     return resect(rig, scene.sensor[image[new]].astype(int), xy[new], points[track[new]])
 
 
-def _points(rays: np.ndarray, poses: np.ndarray, track: np.ndarray, tracks: int, tuning: FramesTuning) -> np.ndarray:
+def _points(rays: np.ndarray, poses: np.ndarray, track: np.ndarray, tracks: int) -> np.ndarray:
     """(T, 3) points of tracks (K,) by rays (K, 3) of images with poses (K, 4, 4); NaN where rays do not meet well."""
     way = np.einsum("kji,kj->ki", poses[:, :3, :3], rays)
     centre = transforms.centre(poses)
     normal = normal_matrices(way, np.ones(len(way)), track, tracks)
     # Of two rays the smallest eigenvalue is one less the cosine of their angle.
-    good = np.linalg.eigvalsh(normal)[:, 0] > 1 - np.cos(np.radians(tuning.least_angle_deg))
+    good = np.linalg.eigvalsh(normal)[:, 0] > 1 - np.cos(np.radians(_LEAST_ANGLE_DEG))
     across = centre - way * np.sum(way * centre, axis=1, keepdims=True)
     right = np.column_stack([np.bincount(track, across[:, a], tracks) for a in range(3)])
     out = np.full((tracks, 3), np.nan)
     out[good] = np.linalg.solve(normal[good], right[good][:, :, None])[:, :, 0]
     to = out[track] - centre
     with np.errstate(invalid="ignore"):
-        off = np.sum(to * way, axis=1) < np.cos(np.radians(tuning.ray_deg)) * np.linalg.norm(to, axis=1)
+        off = np.sum(to * way, axis=1) < np.cos(np.radians(_RAY_DEG)) * np.linalg.norm(to, axis=1)
     out[track[off]] = np.nan
     return out

@@ -101,7 +101,7 @@ def judge_cloud(
             cloud = cloud.moved(fitted.fit, cloud.crs)
             cameras = cameras and Cameras(fitted.fit(cameras.centres), cameras.section)
         clouds = tile_clouds(cloud, reference, scratch, tuning.cloud)
-        criteria = criteria_of(clouds, tuning.cloud, question.distances_m, question.gsd_m, question.range_m)
+        criteria = criteria_of(clouds, question.distances_m, question.gsd_m, question.range_m)
         cylinders = cylinders_of(clouds, tuning.m3c2)
         nearest = cloud_to_cloud(clouds, criteria, scratch, cameras)
     clouds = clouds.exchanged()
@@ -140,11 +140,6 @@ class PassAgreement:
         """Median level of detection; NaN = nothing compared."""
         return float(self.found.get(_WHOLE, {}).get("level of detection m", _NAN))
 
-    @property
-    def by(self) -> str:
-        """What was compared, in words."""
-        return f"pass {self.passes[1]} against pass {self.passes[0]}"
-
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
         whole = self.found.get(_WHOLE, {})
@@ -168,9 +163,9 @@ class PassAgreement:
         sampled = ", near places along the way; `tiegraph compare --passes` takes all" if few else ""
         used = f"{self.maps[0]} of {self.there[0]} and {self.maps[1]} of {self.there[1]} depth maps{sampled}"
         return (
-            f"{self.by[:1].upper()}{self.by[1:]} (M3C2 along the normal; {used}): it tells how well the passes agree "
-            "in pose and depth. It does not tell what both share: place, scale, cameras, what matching got wrong in "
-            "both; and a depth map of one pass may have been confirmed by images of the other."
+            f"Pass {self.passes[1]} against pass {self.passes[0]} (M3C2 along the normal; {used}): it tells how well "
+            "the passes agree in pose and depth. It does not tell what both share: place, scale, cameras, what "
+            "matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other."
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -17,11 +17,13 @@ from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.clouds.nearest import Cameras, thinned
 from tiegraph.evaluate.clouds.tiles import TiledClouds
-from tiegraph.evaluate.tuning import ChangesTuning, M3c2Tuning
+from tiegraph.evaluate.tuning import M3c2Tuning
 from tiegraph.scene import graph
 from tiegraph.scene.cloudchunks import Points
 from tiegraph.scene.sorting import Columns
 
+_RADIUS_SPACINGS = 5.0  # of the thinner cloud: 20 points of a random cloud lie in a cylinder
+_DEPTH_RADII = 6.0  # how far a cylinder reaches to either side: larger differences are not found
 _CORES = 10_000  # core points looked at together: some 10 million pairs of points at most
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
 
@@ -41,13 +43,13 @@ class Cylinders:
 
 
 def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None = None) -> Cylinders:
-    """Cylinders that fit the spacing of the thinner cloud. Raises ValueError for a depth that does not fit
-    them, and for clouds without a spacing."""
+    """Cylinders that fit the spacing of the thinner cloud. Raises ValueError for a depth that does not fit them, and
+    for clouds without a spacing."""
     spacing = float(np.max(clouds.spacing_m))  # NaN of one point stays
     if not 0 < spacing < np.inf:
         raise ValueError("half of the points of a cloud stand in one place, or it has only one: no surface")
-    radius = float(f"{tuning.radius_spacings * spacing:.2g}")
-    depth = tuning.depth_radii * radius if depth_m is None else depth_m
+    radius = float(f"{_RADIUS_SPACINGS * spacing:.2g}")
+    depth = _DEPTH_RADII * radius if depth_m is None else depth_m
     if not radius <= depth <= 200 * radius:
         raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {200 * radius:g} m")
     return Cylinders(radius_m=radius, normal_m=tuning.normal_radii * radius, depth_m=depth, cores_m=radius)
@@ -204,7 +206,6 @@ def _pairs(centres: np.ndarray, tree: cKDTree, radius: float) -> tuple[np.ndarra
 
 
 def _facing(normal: np.ndarray, cores: np.ndarray, cameras: Cameras | None) -> np.ndarray:
-    """Normals turned to the nearest camera, else upwards."""
     if cameras is None:
         towards = np.broadcast_to(_OBLIQUE, cores.shape)
     else:
@@ -257,23 +258,23 @@ class Changes:
         return {"columns": list(COLUMNS), "rows": rows}
 
 
-def changes(found: Differences, tuning: ChangesTuning) -> Changes:
+def changes(found: Differences) -> Changes:
     """Changes by significant core points near each other with differences of one sign.
 
-    Fewer than ``least_cores`` together are chance: 5 % of unchanged ones are significant.
+    Fewer than 12 together are chance: 5 % of unchanged ones are significant.
     """
     known = found.known
     xyz, distance, loud = found.xyz[known], found.distance_m[known].astype(float), found.significant[known]
     if not len(xyz):
         return Changes(listed=(), compared_m2=0.0, significant_m2=0.0)
     # A point stands for a disc that it shares with the points in it; at a border that is too large by half.
-    radius = tuning.area_spacings * found.cylinders.cores_m
+    radius = 3 * found.cylinders.cores_m
     area = np.pi * radius**2 / cKDTree(xyz).query_ball_point(xyz, radius, return_length=True, workers=-1)
     where, out = np.flatnonzero(loud), []
-    i, j = cKDTree(xyz[where]).query_pairs(tuning.link_spacings * found.cylinders.cores_m, output_type="ndarray").T
+    i, j = cKDTree(xyz[where]).query_pairs(2 * found.cylinders.cores_m, output_type="ndarray").T
     alike = np.sign(distance[where[i]]) == np.sign(distance[where[j]])
     label = graph.parts(i[alike], j[alike], len(where))
-    for piece in (where[label == k] for k in np.flatnonzero(np.bincount(label) >= tuning.least_cores)):
+    for piece in (where[label == k] for k in np.flatnonzero(np.bincount(label) >= 12)):
         own, a = distance[piece], area[piece]
         out.append(
             Change(

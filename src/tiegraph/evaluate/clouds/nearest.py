@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.clouds.tiles import TiledClouds
-from tiegraph.evaluate.tuning import CloudTuning
 from tiegraph.scene.results import Metric
 from tiegraph.scene.sorting import row_numbers, run_starts
 
@@ -48,22 +47,22 @@ class Criteria:
 
 def criteria_of(
     clouds: TiledClouds,
-    tuning: CloudTuning,
     distances_m: Sequence[float] = (),
     gsd_m: float | None = None,
     range_m: float | None = None,
 ) -> Criteria:
     """The distances given, or those of the series 1, 2, 5 from the ground sampling distance (else the cloud's spacing)
     on; the rest follows from them. Cloud 1 is the reference."""
-    distances = tuple(sorted(distances_m)) or _series(gsd_m or clouds.spacing_m[0], tuning.steps)
+    distances = tuple(sorted(distances_m)) or _series(gsd_m or clouds.spacing_m[0], 4)
     spacing = float(np.nan_to_num(clouds.spacing_m[1]))
-    ghost = float(f"{max(tuning.ghost_factor * distances[0], tuning.ghost_spacings * spacing):.3g}")
+    # As the tables of 3D benchmarks have it, and beyond the gaps of a thin reference, lest these make ghosts
+    ghost = float(f"{max(5 * distances[0], 3 * spacing):.3g}")
     return Criteria(
         distances_m=distances,
         ghost_m=ghost,
-        observed_m=tuning.observed_factor * ghost,
+        observed_m=4 * ghost,  # less excuses walls in the wrong place, more calls what lies beyond its border wrong
         voxel_m=distances[0] / 2,
-        reach_m=tuning.search_factor * max(distances[-1], ghost),
+        reach_m=10 * max(distances[-1], ghost),
         spacing_m=spacing,
         range_m=range_m,
     )
@@ -87,10 +86,6 @@ class Cameras:
     def sections(self) -> tuple[str, ...]:
         """Names of the sections, each once."""
         return tuple(dict.fromkeys(self.section))
-
-    def section_numbers(self) -> np.ndarray:
-        """(K,) number of each camera's section."""
-        return np.array([self.sections().index(s) for s in self.section], int)
 
 
 @dataclass(frozen=True)
@@ -123,8 +118,7 @@ class CloudComparison:
     judged: Path  # file of the points judged
 
     def points(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """The cloud's points that were judged, part by part: (N, 3) and their distances (N,) (NaN: further than looked
-        for)."""
+        """The cloud's judged points, part by part: (N, 3) and their distances (N,) (NaN: further than looked for)."""
         count = self.judged.stat().st_size // _JUDGED.itemsize
         for start in range(0, count, _PART):
             rows = np.fromfile(self.judged, _JUDGED, min(_PART, count - start), offset=start * _JUDGED.itemsize)
@@ -212,7 +206,8 @@ def _judged(
     rows["distance_m"] = nearest(xyz, other, criteria.reach_m)
     if cameras is not None:
         away, near = cKDTree(cameras.centres).query(xyz)
-        rows["group"] = np.stack([np.searchsorted(_BANDS_M, away), cameras.section_numbers()[near]], axis=1)
+        section = np.array([cameras.sections().index(s) for s in cameras.section], int)
+        rows["group"] = np.stack([np.searchsorted(_BANDS_M, away), section[near]], axis=1)
     if which == 1:
         rows["counts"] = away <= (criteria.range_m or np.inf)
         return xyz, rows

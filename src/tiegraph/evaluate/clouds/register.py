@@ -18,6 +18,10 @@ from tiegraph.scene.cloudchunks import PointSource
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
 _ROUNDS, _STILL = 20, 1e-3  # with each reach at most, until no point moves by more than this share of the spacing
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
+_REACHES = (40.0, 20.0, 10.0, 5.0)  # to the nearest point at most, in spacings, one after another
+# Smallest to largest eigenvalue of the equations, all unknowns in metres of motion, below which surfaces slide: noise
+# of the normals alone makes 0.0005 of a plane and 0.0024 of a corridor, a corner has 0.08.
+_OPEN_SHARE = 0.005
 _TUKEY = 4.685  # residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)
 
 
@@ -84,7 +88,7 @@ def register(
     if start is not None:
         fit = Similarity(1.0, start.target_from_source[:3, :3], start.target_from_source[:3, 3])
     tree = cKDTree(reference)
-    normal = normals(reference, tuning.normal_neighbours)
+    normal = normals(reference, 20)
     spacing = float(np.median(tree.query(reference[:: max(1, len(reference) // 5000)], k=2)[0][:, 1]))
     middle = np.median(fit(cloud), axis=0)
     extent = float(np.median(np.linalg.norm(fit(cloud) - middle, axis=1)))
@@ -94,14 +98,14 @@ def register(
     def met(reach: float) -> _Equations:
         return _equations(fit(cloud), (tree, normal), reach * spacing, tuning, middle, unit)
 
-    for reach in tuning.reach_spacings:
+    for reach in _REACHES:
         for _ in range(_ROUNDS):
             found = met(reach)
             step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
             fit = fit.stepped(np.r_[step * unit, np.zeros(7 - unknowns)], middle)
             if np.abs(step).max() < _STILL * spacing:
                 break
-    found = met(tuning.reach_spacings[-1])
+    found = met(_REACHES[-1])
     covariance = np.zeros((7, 7))
     covariance[:unknowns, :unknowns] = found.covariance() * np.outer(unit, unit)
     return Registration(
@@ -134,8 +138,7 @@ def _equations(
     middle: np.ndarray,
     unit: np.ndarray,
 ) -> _Equations:
-    """Pair points (N, 3) with the nearest planes (points and normals) of the reference, and set up the equations of the
-    next step."""
+    """Pair points (N, 3) with the nearest planes (points, normals) of the reference; the equations of the next step."""
     tree, normal = planes
     away, at = tree.query(xyz, distance_upper_bound=reach, workers=-1)
     met = np.isfinite(away)
@@ -156,7 +159,7 @@ def _equations(
     matrix = np.array([rows[k].T @ design[part == k] for k in range(_PARTS)])
     vector = np.array([rows[k].T @ residual[part == k] for k in range(_PARTS)])
     values, axes = np.linalg.eigh(matrix.sum(axis=0))
-    if values[0] < tuning.open_share * values[-1]:
+    if values[0] < _OPEN_SHARE * values[-1]:
         loose = _NAMES[int(np.argmax(np.abs(axes[:, 0])))]
         raise ValueError(f"the surfaces do not tell {loose}: they slide along each other; compare without registration")
     return _Equations(matrix=matrix, vector=vector, sigma=sigma, share=float(met.mean()))

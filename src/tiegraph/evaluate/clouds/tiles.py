@@ -61,8 +61,7 @@ def tile_clouds(first: PointSource, second: PointSource, scratch: Path, tuning: 
     """Lay two clouds into files of the folder ``scratch``: 32 bytes a point, twice that while they are sorted.
 
     Memory is that of a part, and later of one tile and its halo: a tile holds about ``tuning.tile_points`` of both
-    clouds, unless more stand above one cell of the survey's length. Raises InputError for clouds that cannot be read
-    (``open_cloud``).
+    clouds, unless more stand above one cell of the survey's length. Raises InputError as ``open_cloud``.
     """
     copies = [scratch / "first.points", scratch / "second.points"]
     corners = np.array([_copied(source, file) for source, file in zip((first, second), copies)])
@@ -99,8 +98,7 @@ def tile_clouds(first: PointSource, second: PointSource, scratch: Path, tuning: 
 
 
 def _rows(path: Path) -> Iterator[np.ndarray]:
-    """Rows (N, 4) x, y, z, sigma of a file, part by part; read and not mapped, for mapped pages count as memory of the
-    process."""
+    """Rows (N, 4) x, y, z, sigma of a file, part by part; not mapped, which would count as memory of the process."""
     for start in range(0, path.stat().st_size // _ROW, _PART):
         yield np.fromfile(path, np.float64, 4 * _PART, offset=_ROW * start).reshape(-1, 4)
 
