@@ -6,6 +6,7 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tiegraph.features.nearest import rounded
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews, spread, tentative
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning, Tuning
@@ -135,7 +136,7 @@ def test_of_equal_descriptors_the_first_is_the_nearest(seed: int) -> None:
         )
         for n in rng.integers(2, 12, 2)
     )
-    cosine = a.descriptors.astype(float) @ b.descriptors.astype(float).T
+    cosine = rounded(a.descriptors).astype(float) @ rounded(b.descriptors).astype(float).T
     nearest = cosine.argmax(axis=1)
     mutual = cosine.argmax(axis=0)[nearest] == np.arange(len(a))
     loose = TUNING.model_copy(update={"max_distance": 2.0})
