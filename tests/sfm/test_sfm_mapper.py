@@ -22,6 +22,8 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapper, mapping
 from tiegraph.sfm.mapper import SparseResult
 from tiegraph.sfm.mapping import choose_mapper
@@ -140,6 +142,15 @@ def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
     assert result.rig == "absent" and result.mapper == "incremental"
     reasons = {name: "no features (masked, blank or unreadable)", name_before: "no verified pair"}
     assert dict(result.remarks.dropped) == reasons and result.components == (10,)
+
+
+@pytest.mark.slow
+def test_a_model_of_which_no_image_sees_enough_points_is_none(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
+    most = SceneTuning(registered=RegisteredTuning(min_points=10**6))
+    with pytest.raises(ReconstructionError, match=r"none sees 1000000 points of the result .* agree with it"):
+        _run(tmp_path, scene, shared=most)
+    assert list((tmp_path / "sparse").iterdir()) == []
 
 
 @pytest.mark.slow

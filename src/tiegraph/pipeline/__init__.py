@@ -65,7 +65,7 @@ STAGES = (
            changes=("database.db",), clear=lambda folder: _module("match").forget_matches(folder),
            scratch=("database.db.match",), tuned=("features",)),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=5),
-    _stage("sparse", ("preview", "coarse", "network", "match", "filter"), ("sparse",), version=32,
+    _stage("sparse", ("preview", "coarse", "network", "match", "filter"), ("sparse",), version=33,
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),
     _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=26,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),

@@ -2,7 +2,7 @@
 coarse and design; SIFT of the images into the database (features), the listed pairs matched and verified (match).
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -44,11 +44,8 @@ def preview(run: Run) -> Outcome:
     if run.settings.features.model is not None:
         network(run.settings.features.model)  # one that cannot be used is refused before the work
     run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
-    dim = dim_images(run.folder, scene.names, tuning)
-    said = () if not dim else (
-        f"{len(dim)} of {len(scene)} images show little contrast, {np.median(list(dim.values())):.1f} grey levels in "
-        "the median (most in daylight show 20 and more): it is equalised before feature extraction",
-    )  # fmt: skip
+    told = dim_told(run.folder, scene.names, tuning)
+    said = (f"{told}: it is equalised before feature extraction",) if told else ()
     return Outcome({"images": len(scene)}, notes=said)
 
 
@@ -56,6 +53,15 @@ def dim_images(folder: Path, names: Iterable[str], tuning: Tuning) -> dict[str, 
     """Contrast, grey levels, of those of the images that show too little of it."""
     shown = {name: read_preview(folder, name).contrast for name in names}
     return {name: value for name, value in shown.items() if value < tuning.contrast.enough}
+
+
+def dim_told(folder: Path, names: Collection[str], tuning: Tuning) -> str:
+    """How many of the images show too little contrast, and how little; "" if none does."""
+    dim = dim_images(folder, names, tuning)
+    return "" if not dim else (
+        f"{len(dim)} of {len(names)} images show little contrast, {np.median(list(dim.values())):.1f} grey levels in "
+        "the median (most in daylight show 20 and more)"
+    )  # fmt: skip
 
 
 def preview_path(folder: Path, name: str) -> Path:

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.errors import ReconstructionError
 from tiegraph.filter.filter import Prior, filter_pairs
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.features import dim_images
+from tiegraph.pipeline.features import dim_images, dim_told
 from tiegraph.pipeline.files import (
     checked,
     load_model,
@@ -66,15 +67,19 @@ def sparse(run: Run) -> Outcome:
         run_map=run.map,
         on_progress=progress,
     )
-    made = reconstruct(
-        source,
-        run.path("sparse"),
-        scene.measured(),
-        run.settings.sparse,
-        run.settings.tuning.sfm,
-        run.settings.tuning.scene,
-        run.log,
-    )
+    try:
+        made = reconstruct(
+            source,
+            run.path("sparse"),
+            scene.measured(),
+            run.settings.sparse,
+            run.settings.tuning.sfm,
+            run.settings.tuning.scene,
+            run.log,
+        )
+    except ReconstructionError as error:
+        told = dim_told(run.folder, scene.names, run.settings.tuning.features)
+        raise ReconstructionError(f"{error}. {told}: give more light, or go nearer" if told else str(error)) from None
     counts = dict(made.counts)
     if made.shape is not None:
         save_npz(run.path("sparse", SHAPE), **vars(made.shape))

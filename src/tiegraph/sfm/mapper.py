@@ -226,6 +226,11 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
     models = [_model(read_model(f), f, scene, job.shared.registered) for f in folders]
     first, main = models[0], read_model(folders[0])
+    if not first.registered:
+        for folder in folders:
+            shutil.rmtree(folder)
+        why = _nothing_sure(first, finished, job.shared.registered)
+        raise ReconstructionError(no_model_text(scene, job.graph, why))
     doubts: list[str] = []
     weak: tuple[WeaklyTied, ...] = ()
     weakly: list[str] = []
@@ -264,6 +269,15 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
         counts=_counts(job, models, sum(len(group.frames) for group in weak)) | finished.counts,
         sigma=finished.sigma,
         shape=finished.shape,
+    )
+
+
+def _nothing_sure(model: Model, finished: FinishResult, tuning: RegisteredTuning) -> str:
+    explained = finished.counts.get("matches_explained_percent")
+    agree = "" if explained is None else f", and {explained:.0f} % of the verified matches agree with it"
+    return (
+        f"the images were mapped, but none sees {tuning.min_points} points of the result ({model.points} points in "
+        f"all{agree}): the matches contradict each other"
     )
 
 
