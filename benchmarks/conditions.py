@@ -1,7 +1,8 @@
 """Where it is dark, flat or uneven: ``python -m benchmarks.conditions --sets canal_demo --work DIR -o FILE``.
 
 Each survey with truth is made worse image by image, at three severities a condition, and run by tiegraph and by COLMAP
-(every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md. ``--contrast
+(every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md. ``--ablation``
+prints the rows of constants of the equalisation (``--methods "limit 2" ...``). ``--contrast
 FOLDER ...`` prints how much contrast the images below a folder show: the least, a tenth of them, the median, the most.
 
 * ``contrast``: the local contrast that a tenth of an image shows is scaled to so many grey levels (the sea floor of
@@ -42,6 +43,10 @@ BEGIN, END = "<!-- python -m benchmarks.conditions --write -->", "<!-- end of th
 _READ, _SHOT, _VEIL = 0.7, 0.05, 40.0  # grey levels; variance of the shot noise over the signal; grey levels
 
 METHODS = ("tiegraph", "not evened", "COLMAP")  # the second: tiegraph without evening
+# Constants of the equalisation halved and doubled, of which --ablation prints the rows.
+ABLATION = {f"{name} {value:g}": {name: value} for name, values in (
+    ("limit", (2, 8)), ("tiles", (4, 16)), ("enough", (5, 20)), ("block", (0.01, 0.04)),
+) for value in values}  # fmt: skip
 
 Image = np.ndarray
 Worse = Callable[[Image, float, np.random.Generator, np.random.Generator], Image]
@@ -145,10 +150,11 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="*", default=[])
     parser.add_argument("--conditions", nargs="+", default=list(CONDITIONS), choices=list(CONDITIONS))
-    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=(*METHODS, *ABLATION))
     parser.add_argument("--work", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=_RESULTS)
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--ablation", action="store_true")
     parser.add_argument("--contrast", nargs="*", type=Path, default=[], metavar="FOLDER")
     args = parser.parse_args(argv)
     for folder in args.contrast:
@@ -161,6 +167,8 @@ def main(argv: list[str] | None = None) -> int:
         for condition in args.conditions:
             for severity in CONDITIONS[condition][1]:
                 _case(dataset, (dataset.name, condition, severity), args, kept)
+    if args.ablation:
+        sys.stdout.write(ablation(kept) + "\n")
     if args.write:
         put(_DOCUMENT, BEGIN, END, table(kept))
     return 0
@@ -176,12 +184,22 @@ def _case(dataset: datasets.Dataset, case: tuple[str, str, float], args: argpars
             row = {k: v for k, v in one_run(bad, COLMAP, folder / "colmap").items() if k not in ("precision", "counts")}
             row["cpu_s"] = round(sum(s[0] for s in row.pop("stages").values()), 1)
         else:
-            off = {"tuning": {"features": {"contrast": {"enough": 0}}}} if method == "not evened" else {}
-            row = variants.run(bad, folder / "run", off)
+            changed = {"enough": 0} if method == "not evened" else ABLATION.get(method, {})
+            row = variants.run(bad, folder / "run", {"tuning": {"features": {"contrast": changed}}} if changed else {})
         kept.append({"set": case[0], "condition": case[1], "severity": case[2], "method": method, **row})
         args.output.write_text(json.dumps(kept, indent=1, default=str) + "\n")
         sys.stderr.write(f"{case} {method}: {row.get('registered')} {row.get('ate_m')}\n")
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def ablation(rows: list[dict]) -> str:
+    """A row a condition and severity: images, ATE as they are and with each constant of the equalisation changed."""
+    out = [line(["set", "condition", "severity", "as it is", *ABLATION]), line(["---"] * (4 + len(ABLATION)))]
+    for case in dict.fromkeys((r["set"], r["condition"], r["severity"]) for r in rows if r["method"] in ABLATION):
+        of = {r["method"]: r for r in rows if (r["set"], r["condition"], r["severity"]) == case}
+        cells = (_cell(of.get(method, {})) for method in ("tiegraph", *ABLATION))
+        out.append(line([f"`{case[0]}`", case[1], f"{case[2]:g}", *cells]))
+    return "\n".join(out)
 
 
 def table(rows: list[dict]) -> str:
