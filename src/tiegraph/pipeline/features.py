@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.child import cores
+from tiegraph.errors import ReconstructionError
 from tiegraph.features.learned import network
 from tiegraph.features.matchblocks import Rules, Side, colmap_matches, match_pairs
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
@@ -62,6 +63,12 @@ def dim_told(folder: Path, names: Collection[str], tuning: Tuning) -> str:
         f"{len(dim)} of {len(names)} images show little contrast, {np.median(list(dim.values())):.1f} grey levels in "
         "the median (most in daylight show 20 and more)"
     )  # fmt: skip
+
+
+def with_contrast(error: ReconstructionError, run: Run, scene: Scene) -> ReconstructionError:
+    """The error, which names too little contrast of the images as a cause if they have it."""
+    told = dim_told(run.folder, scene.names, run.settings.tuning.features)
+    return ReconstructionError(f"{error}. {told}: give more light, or go nearer") if told else error
 
 
 def preview_path(folder: Path, name: str) -> Path:
@@ -244,7 +251,10 @@ def match(run: Run) -> Outcome:
     asked = pairs_of(run, "pairs.npz")
     side = Side(run.workers, run.map_untold) if run.distributed else Side(min(run.workers, cores()))
     rules = Rules(run.settings.match, run.settings.tuning.features.verification)
-    pairs, report = match_pairs(run.path("database.db"), scene, asked, rules, run.log, progress, side)
+    try:
+        pairs, report = match_pairs(run.path("database.db"), scene, asked, rules, run.log, progress, side)
+    except ReconstructionError as error:
+        raise with_contrast(error, run, scene) from None
     save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
     lonely = (

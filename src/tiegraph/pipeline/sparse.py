@@ -8,7 +8,7 @@ import numpy as np
 from tiegraph.errors import ReconstructionError
 from tiegraph.filter.filter import Prior, filter_pairs
 from tiegraph.geometry import transforms
-from tiegraph.pipeline.features import dim_images, dim_told
+from tiegraph.pipeline.features import dim_images, with_contrast
 from tiegraph.pipeline.files import (
     checked,
     load_model,
@@ -78,8 +78,7 @@ def sparse(run: Run) -> Outcome:
             run.log,
         )
     except ReconstructionError as error:
-        told = dim_told(run.folder, scene.names, run.settings.tuning.features)
-        raise ReconstructionError(f"{error}. {told}: give more light, or go nearer" if told else str(error)) from None
+        raise with_contrast(error, run, scene) from None
     counts = dict(made.counts)
     if made.shape is not None:
         save_npz(run.path("sparse", SHAPE), **vars(made.shape))
