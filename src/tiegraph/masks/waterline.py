@@ -104,9 +104,6 @@ def below_waterline(
     return water if ego is None else water & ~ego
 
 
-# --- from geometry ----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class View:
     """A registered image: ``rays`` (h, C, 3) unit vectors of the pixels of ``columns(w)`` in the model's axes, and its
