@@ -86,8 +86,6 @@ def _engine(far_m: float) -> Any:
     return KissICP(config)
 
 
-_SPAN = 1 << 20  # cells to both sides of the first scan that a key has room for
-_GREY, _MOST_VIEWS = 128, 255
 _MOST_POINTS = 20_000_000  # voxels held: 1 GiB
 _BATCH_POINTS = 2_000_000  # gathered before they are merged
 
@@ -97,7 +95,6 @@ class MapCloud:
 
     def __init__(self, voxel_m: float) -> None:
         self.voxel_m = voxel_m
-        self._keys = np.zeros(0, np.int64)
         self._sums: np.ndarray = np.zeros((0, 4))  # x, y, z, number
         self._waiting: list[np.ndarray] = []
         self._count = 0
@@ -116,30 +113,24 @@ class MapCloud:
         missing = np.full((len(number), 3), np.nan, np.float32)
         return Cloud(
             xyz_m=self._sums[:, :3] / np.maximum(number, 1),
-            rgb=np.full((len(number), 3), _GREY, np.uint8),
+            rgb=np.full((len(number), 3), 128, np.uint8),
             normal=missing,
             sigma_m=missing[:, 0],
-            views=np.minimum(number[:, 0], _MOST_VIEWS).astype(np.uint8),
+            views=np.minimum(number[:, 0], 255).astype(np.uint8),
         )
 
     def _merge(self) -> None:
         rows = np.concatenate([self._sums, *self._waiting])
         self._waiting, self._count = [], 0
         self._gather(rows)
-        while len(self._keys) > _MOST_POINTS:
+        while len(self._sums) > _MOST_POINTS:
             self.voxel_m *= 1.5
             self._gather(self._sums)
 
     def _gather(self, rows: np.ndarray) -> None:
-        cell = np.floor(rows[:, :3] / np.maximum(rows[:, 3:], 1) / self.voxel_m).astype(np.int64)
-        cell = np.clip(cell, -_SPAN, _SPAN - 1) + _SPAN
-        key = (cell[:, 0] * 2 * _SPAN + cell[:, 1]) * 2 * _SPAN + cell[:, 2]
-        self._keys, group = np.unique(key, return_inverse=True)
-        columns = [np.bincount(group, rows[:, k], len(self._keys)) for k in range(4)]
-        self._sums = np.stack(columns, axis=1)
+        group = np.unique(voxel_keys(rows[:, :3] / np.maximum(rows[:, 3:], 1), self.voxel_m), return_inverse=True)[1]
+        self._sums = np.stack([np.bincount(group, rows[:, k]) for k in range(4)], axis=1)
 
-
-# --- adjustment -----------------------------------------------------------------------------------------------------
 
 _DAMPING = 1e-6  # of the normal equations, relative
 
@@ -221,11 +212,10 @@ def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float]
     """Flat voxels that two scans at least have points in."""
     side_m, thick_m = stage
     _, voxel = np.unique(voxel_keys(world, side_m), return_inverse=True)
-    first = _scatter(world, voxel, np.ones(len(world), bool))
-    off = np.abs(np.einsum("ni,ni->n", world - first.middle[voxel], first.axes[voxel, :, 0]))
-    near = off < 3 * np.sqrt(np.maximum(first.spread[:, 0], sigma_m**2))[voxel]
-    found = _scatter(world, voxel, near)
-    count, spread = found.count, found.spread
+    _, middle, spread, axes = _scatter(world, voxel, np.ones(len(world), bool))
+    off = np.abs(np.einsum("ni,ni->n", world - middle[voxel], axes[voxel, :, 0]))
+    near = off < 3 * np.sqrt(np.maximum(spread[:, 0], sigma_m**2))[voxel]
+    count, middle, spread, axes = _scatter(world, voxel, near)
     several = np.bincount(np.unique(voxel[near] * (scan[-1] + 1) + scan[near]) // (scan[-1] + 1), minlength=len(count))
     good = (
         (count >= 12)
@@ -236,22 +226,14 @@ def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float]
     )
     number = np.cumsum(good) - 1
     row = np.flatnonzero(near & good[voxel])
-    return _Planes(middle=found.middle[good], axes=found.axes[good], plane=number[voxel[row]], row=row)
+    return _Planes(middle=middle[good], axes=axes[good], plane=number[voxel[row]], row=row)
 
 
-@dataclass(frozen=True)
-class _Scatter:
-    """Of V voxels: number of points (V,), their mean (V, 3), the eigenvalues of their scatter (V, 3), growing, and its
-    axes (V, 3, 3), columns."""
-
-    count: np.ndarray
-    middle: np.ndarray
-    spread: np.ndarray
-    axes: np.ndarray
-
-
-def _scatter(world: np.ndarray, voxel: np.ndarray, taken: np.ndarray) -> _Scatter:
-    """Of the points (N, 3) taken (N,) bool, by their voxel (N,)."""
+def _scatter(
+    world: np.ndarray, voxel: np.ndarray, taken: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of V voxels, by the points (N, 3) taken (N,) bool and their voxels (N,): number of points (V,), mean (V, 3),
+    eigenvalues of the scatter (V, 3), growing, and its axes (V, 3, 3), columns."""
     cells, voxel, world = int(voxel.max()) + 1, voxel[taken], world[taken]
     count = np.bincount(voxel, minlength=cells)
     some = np.maximum(count, 1)[:, None]
@@ -259,7 +241,7 @@ def _scatter(world: np.ndarray, voxel: np.ndarray, taken: np.ndarray) -> _Scatte
     away = world - middle[voxel]
     spread = _second_moments(away, voxel, cells) / some[:, None]
     values, axes = np.linalg.eigh(spread)
-    return _Scatter(count=count, middle=middle, spread=values, axes=axes)
+    return count, middle, values, axes
 
 
 def _second_moments(rows: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
