@@ -88,10 +88,6 @@ class Cameras:
         """Names of the sections, each once."""
         return tuple(dict.fromkeys(self.section))
 
-    def section_numbers(self) -> np.ndarray:
-        """(K,) number of each camera's section."""
-        return np.array([self.sections().index(s) for s in self.section], int)
-
 
 @dataclass(frozen=True)
 class Shares:
@@ -212,7 +208,8 @@ def _judged(
     rows["distance_m"] = nearest(xyz, other, criteria.reach_m)
     if cameras is not None:
         away, near = cKDTree(cameras.centres).query(xyz)
-        rows["group"] = np.stack([np.searchsorted(_BANDS_M, away), cameras.section_numbers()[near]], axis=1)
+        section = np.array([cameras.sections().index(s) for s in cameras.section])
+        rows["group"] = np.stack([np.searchsorted(_BANDS_M, away), section[near]], axis=1)
     if which == 1:
         rows["counts"] = away <= (criteria.range_m or np.inf)
         return xyz, rows

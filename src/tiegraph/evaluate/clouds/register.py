@@ -16,9 +16,7 @@ from tiegraph.geometry.coarse import Start, normals, start_of
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
-_ROUNDS, _STILL = 20, 1e-3  # with each reach at most, until no point moves by more than this share of the spacing
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
-_TUKEY = 4.685  # residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)
 
 
 @dataclass(frozen=True)
@@ -95,11 +93,11 @@ def register(
         return _equations(fit(cloud), (tree, normal), reach * spacing, tuning, middle, unit)
 
     for reach in tuning.reach_spacings:
-        for _ in range(_ROUNDS):
+        for _ in range(20):
             found = met(reach)
             step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
             fit = fit.stepped(np.r_[step * unit, np.zeros(7 - unknowns)], middle)
-            if np.abs(step).max() < _STILL * spacing:
+            if np.abs(step).max() < 1e-3 * spacing:
                 break
     found = met(tuning.reach_spacings[-1])
     covariance = np.zeros((7, 7))
@@ -147,7 +145,8 @@ def _equations(
     n, from_middle = normal[at[met]], xyz[met] - middle
     residual = np.einsum("ij,ij->i", n, np.asarray(tree.data)[at[met]] - xyz[met])
     sigma = robust_sigma(residual - np.median(residual)) + 1e-12
-    weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * sigma)), 0, None))
+    # Tukey's function, 95 % efficient
+    weight = np.square(np.clip(1 - np.square(residual / (4.685 * sigma)), 0, None))
     growth = np.einsum("ij,ij->i", n, from_middle)
     design = np.column_stack([np.cross(from_middle, n), n, growth])[:, : len(unit)] * unit
     cell = np.floor(from_middle * (_CELLS / np.ptp(from_middle, axis=0).max())).astype(int)
