@@ -113,8 +113,10 @@ def check(
             tally.hear(surface, partner, settings.tolerance_px, tuning)
     mapless = [k for k, name in enumerate(partners) if name in unseen]
     judged = [tally.judged(mapless, settings.min_views, tuning) for tally in tallies]
-    joined = {n: np.concatenate([found[n] for found, _ in judged]) for n in ("depth_m", "sigma_m", "views")}
-    return replace(depth, **joined, support=None), Consistency.total(counts for _, counts in judged)
+    columns = ("depth_m", "sigma_m", "views")
+    depth_m, sigma_m, views = (np.concatenate([found[n] for found, _ in judged]) for n in columns)
+    joined = replace(depth, depth_m=depth_m, sigma_m=sigma_m, views=views, support=None)
+    return joined, Consistency.total(counts for _, counts in judged)
 
 
 class Tally:

@@ -1,8 +1,8 @@
 """Masks learnt from the survey itself: platform, sky, water and overexposure, without weights and without labels.
 
-Seeds of sky, water and static scene in single images come first; from them appearances and places are learnt. Sky lies
-above the rest: its edges face down, those of a pale road seen from the air face every way. Matches cannot distinguish a
-sky from a smooth surface seen straight from above: neither has any. Over all images of a survey their edges can.
+Sky lies above the rest: its edges face down, those of a pale road seen from the air face every way. Matches cannot
+distinguish a sky from a smooth surface seen straight from above: neither has any. Over all images of a survey their
+edges can.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

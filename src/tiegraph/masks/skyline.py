@@ -1,7 +1,5 @@
 """The sky of one image by its border, the curve along which sky and ground differ most (Shen and Wang 2013), and
-false skies: the model has points there, although nothing is seen through a sky but more sky.
-
-A point seen by other images need not be visible in this one to contradict it: sky hides nothing. So a pale wall that
+false skies: the model has points there, whether seen in this image or not, for sky hides nothing. So a pale wall that
 was called sky in every image is detected, by its windows and by the scene behind it.
 """
 

@@ -1,8 +1,5 @@
 """The line of the water: in single images before any model, then from geometry.
 
-Before any model: where features never match again in the images of a camera is a zone of water, and in each image the
-line below which everything is water.
-
 From geometry: a level plane below the cameras, out to the banks of the sparse model. Everything is in the model's
 units. The plane's height is measured where the waterlines of the first masks meet the banks, so it needs neither scale
 nor GNSS; the first masks' errors average out over thousands of rays.

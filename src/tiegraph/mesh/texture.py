@@ -70,9 +70,8 @@ def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[Pinhole], edge: int,
     number = patches(label, pairs)
     seen = label != UNSEEN
     patch = np.full(len(label), UNSEEN)
-    kept, patch[seen] = np.unique(number[seen], return_inverse=True)
-    first = np.searchsorted(np.sort(patch[seen]), np.arange(len(kept)))
-    image = label[seen][np.argsort(patch[seen], kind="stable")[first]]
+    _, first, patch[seen] = np.unique(number[seen], return_index=True, return_inverse=True)
+    image = label[seen][first]
     low, size, pixel = _rectangles(mesh, patch, image, views)
     bare = int(np.count_nonzero(~seen))
     columns = int(np.clip(np.ceil(np.sqrt(bare)), 1, edge // _BARE))

@@ -78,9 +78,8 @@ def register(
 
     Raises ValueError if too few points meet, or their surfaces leave a direction open (a plane slides in itself).
     """
-    fit = Similarity()
-    if start is not None:
-        fit = Similarity(1.0, start.target_from_source[:3, :3], start.target_from_source[:3, 3])
+    placed = np.eye(4) if start is None else start.target_from_source
+    fit = Similarity(1.0, placed[:3, :3], placed[:3, 3])
     tree = cKDTree(reference)
     normal = normals(reference, tuning.normal_neighbours)
     spacing = float(np.median(tree.query(reference[:: max(1, len(reference) // 5000)], k=2)[0][:, 1]))
