@@ -260,7 +260,7 @@ def by_name(partners):
 def test_partners_at_good_angles_are_preferred():
     line = model([(x, 0, 0) for x in (0, 0.05, 0.3, 1.2, 2.0, 5.0)])
     partners = considered(line, DenseSettings(partners=2))
-    used = [p.view.name for p in partners if p.used]
+    used = [p.view.name for p in partners if not p.reason]
     assert used == ["3.jpg", "4.jpg"] and 5 < partners[0].angle_deg < 9
     assert by_name(partners)["1.jpg"].reason == ONE_CENTRE
 

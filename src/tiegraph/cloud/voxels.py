@@ -17,7 +17,6 @@ from tiegraph.scene.sorting import Columns, order_of, run_starts
 TILE_VOXELS = 512  # edge of a tile in finest voxels: a wall through it has a quarter of a million points
 _LEVELS = 6  # sizes of voxels, each twice the one before; with ten the largest is a whole tile
 _BITS = 9  # of one coordinate of a voxel within its tile
-_MASK = (1 << _BITS) - 1
 _STEPS = 1 << 16  # places along the edge of a voxel that are told apart
 _UNIT = 32767  # a normal's coordinate of 1
 
@@ -74,7 +73,7 @@ def spacing(cell: np.ndarray, voxel: float) -> np.ndarray:
 
 def _indices(cell: np.ndarray) -> list[np.ndarray]:
     """Three columns (V,) u4: a voxel's place in its tile, counted in voxels of its level."""
-    return [(cell >> np.uint32(shift * _BITS)) & np.uint32(_MASK) for shift in (2, 1, 0)]
+    return [(cell >> np.uint32(shift * _BITS)) & np.uint32((1 << _BITS) - 1) for shift in (2, 1, 0)]
 
 
 def rows_of(cloud: Cloud, justified: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:

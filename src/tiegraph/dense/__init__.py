@@ -21,15 +21,8 @@ again without the native part, the stage takes OpenCV's matcher (``sgbm``), and 
 memory, a byte a disparity and path; one more kernel sums up in the order that gives the native module's rounding. The
 strips are the same, since they show in the last bits; all of a level are matched in one launch.
 
-**Triangulation** (``engine``) intersects the rays of all partners: consensus, then residuals from the mean with Huber
-weights. The sigma of a disparity is each image's own: from the differences of its partners where they agree, of which
-0.3 of the variance is shared (the part of the base image) and does not average out.
-
-**Comparison** (``depth``). At least ``min_views`` depth maps must agree on a point, one more where its sigma is above
-0.5 % of the depth (depth maps then agree by chance; an image's own matches with two partners confuse equal beams
-alike). Where fewer images have the point in their frame, two that confirm each other are enough, and ``views`` = 2 says
-so. Points that as many images see through as confirm are dropped; points hidden from most are not.
-
-``shot`` plans a single shot from the rig alone (paper 004: a cloud a station without any model; ``tiegraph shots``).
+``engine`` says how the rays of all partners are intersected, ``depth.check`` which points stand when depth maps are
+compared. ``shot`` plans a single shot from the rig alone (paper 004: a cloud a station without any model; ``tiegraph
+shots``).
 ``undistort`` hands depth maps over to COLMAP's ``stereo_fusion`` (``tiegraph export``).
 """

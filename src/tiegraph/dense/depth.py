@@ -48,9 +48,6 @@ def confirmed_map(
     return with_normals(confirmed), counts
 
 
-# --- depth maps compared with each other ------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Consistency:
     """What the comparison did to a depth map: pixels before, kept, dropped for two reasons; ``two_rays`` of the kept
@@ -116,13 +113,9 @@ def check(
             tally.hear(surface, partner, settings.tolerance_px, tuning)
     mapless = [k for k, name in enumerate(partners) if name in unseen]
     judged = [tally.judged(mapless, settings.min_views, tuning) for tally in tallies]
-    joined = replace(
-        depth,
-        depth_m=np.concatenate([found["depth_m"] for found, _ in judged]),
-        sigma_m=np.concatenate([found["sigma_m"] for found, _ in judged]),
-        views=np.concatenate([found["views"] for found, _ in judged]),
-        support=None,
-    )
+    columns = ("depth_m", "sigma_m", "views")
+    depth_m, sigma_m, views = (np.concatenate([found[n] for found, _ in judged]) for n in columns)
+    joined = replace(depth, depth_m=depth_m, sigma_m=sigma_m, views=views, support=None)
     return joined, Consistency.total(counts for _, counts in judged)
 
 
@@ -228,9 +221,6 @@ class Surface:
         smooth = whole & (np.abs(linear - near) < max_relative * near)
         relative_sigma = look(self.relative_sigma, cv2.INTER_NEAREST, np.nan)
         return np.where(near > 0, np.where(smooth, linear, near), np.float32(np.nan)), relative_sigma
-
-
-# --- surface normals of a depth map by local planes -------------------------------------------------------------------
 
 
 _RADIUS_PX = 3  # of the window that a plane is fitted in

@@ -252,9 +252,6 @@ def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tup
     return np.where(smooth, linear, nearest)
 
 
-# --- triangulation ---------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Triangulation:
     """inverse (H, W) f4 inverse depth along the base rays, sigma (H, W) f4 its standard deviation, NaN = none; support

@@ -71,11 +71,6 @@ class Partner:
     angle_deg: float
     reason: str
 
-    @property
-    def used(self) -> bool:
-        """Whether the pair is matched."""
-        return not self.reason
-
 
 @dataclass(frozen=True, eq=False)
 class ImagePlan:
@@ -95,9 +90,6 @@ class DensePlan:
     dropped: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     refused: dict[str, int] = field(default_factory=dict)  # reason -> number of refused pairs
-
-
-# --- the choice of partners -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +117,13 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
     shared = _shared_counts(table)
     images: dict[str, ImagePlan] = {}
     dropped: list[tuple[str, str]] = []
-    notes: list[str] = []
     refused: Counter[str] = Counter()
     lonely = 0
     row = {view.name: k for k, view in enumerate(table.views)}
     for k, view in enumerate(table.views):
         candidates = _candidates(table, shared, k, settings, tuning)
-        used = [p for p in candidates if p.used]
-        refused.update(p.reason for p in candidates if not p.used and p.reason != SURPLUS)
+        used = [p for p in candidates if not p.reason]
+        refused.update(p.reason for p in candidates if p.reason not in ("", SURPLUS))
         if not used:
             why = f"no other image shares {tuning.min_shared} sparse points with it"
             if candidates:
@@ -145,7 +136,7 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
         # a vehicle stands, what moves past it is triangulated to a few centimetres before the camera.
         common = np.intersect1d(table.points[k], np.concatenate([table.points[row[p.view.name]] for p in used]))
         # The partners, then those that share most points
-        rest = sorted((p for p in candidates if not p.used and p.reason != SCALE), key=lambda p: -p.shared)
+        rest = sorted((p for p in candidates if p.reason not in ("", SCALE)), key=lambda p: -p.shared)
         witnesses = [p.view.name for p in (*used, *rest)][: max(tuning.witnesses, len(used))]
         images[view.name] = ImagePlan(
             view=view,
@@ -160,35 +151,27 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
             "images from different places with overlap, lower --dense.min-angle-deg, or stop before the dense stage "
             "with --until georef"
         )
-    if lonely:
-        notes.append(f"{lonely} images have one partner only: their depths count if other depth maps confirm them")
-    return DensePlan(images=images, dropped=tuple(dropped), notes=tuple(notes), refused=dict(refused))
+    note = f"{lonely} images have one partner only: their depths count if other depth maps confirm them"
+    return DensePlan(images=images, dropped=tuple(dropped), notes=(note,) if lonely else (), refused=dict(refused))
 
 
 def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
     images = sorted((reconstruction.image(i) for i in reconstruction.reg_image_ids()), key=lambda image: image.name)
     row = {image.image_id: k for k, image in enumerate(images)}
     cameras = {c: CameraModel.of(camera) for c, camera in reconstruction.cameras.items()}
-    views: list[ViewPlan] = []
-    focal: list[float] = []
-    for image in images:
-        pose = matrix(image.cam_from_world())
-        views.append(ViewPlan(image.name, cameras[image.camera_id], pose))
-        focal.append(reconstruction.camera(image.camera_id).mean_focal_length())
-    xyz: list[np.ndarray] = []
+    views = [ViewPlan(i.name, cameras[i.camera_id], matrix(i.cam_from_world())) for i in images]
     observed: list[list[int]] = [[] for _ in images]
     for number, point in enumerate(reconstruction.points3D.values()):
-        xyz.append(point.xyz)
         for image_id in {element.image_id for element in point.track.elements}:
             if image_id in row:
                 observed[row[image_id]].append(number)
     poses = np.array([v.cam_from_world for v in views]).reshape(-1, 4, 4)
     return _Table(
         views=views,
-        xyz=np.array(xyz, float).reshape(-1, 3),
+        xyz=np.array([p.xyz for p in reconstruction.points3D.values()], float).reshape(-1, 3),
         points=[np.array(o, np.int64) for o in observed],
         centres=centre(poses),
-        focal=np.array(focal),
+        focal=np.array([reconstruction.camera(i.camera_id).mean_focal_length() for i in images]),
     )
 
 
@@ -214,10 +197,10 @@ def _candidates(
     rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
     order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[:32]  # are looked at point by point
     looked = [_look(table, image, int(others[k]), int(counts[k]), settings, tuning) for k in order]
-    good = [(partner, seen, weight) for partner, seen, weight in looked if partner.used]
+    good = [(partner, seen, weight) for partner, seen, weight in looked if not partner.reason]
     chosen = _choose(good, len(table.points[image]), settings.partners, tuning)
     surplus = [replace(good[k][0], reason=SURPLUS) for k in range(len(good)) if k not in chosen]
-    return [good[k][0] for k in chosen] + surplus + [p for p, _, _ in looked if not p.used]
+    return [good[k][0] for k in chosen] + surplus + [p for p, _, _ in looked if p.reason]
 
 
 def _look(

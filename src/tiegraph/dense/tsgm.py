@@ -36,7 +36,6 @@ _CENSUS, _BLEND = 0, 1  # modes of the kernels: census alone, and the mean of it
 _CUDA = "cuda"  # the kernel's name
 _SGBM_MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
 _SUBPIXEL = 16  # OpenCV's fixed point: steps of a pixel in 16 bits; the disparities of one image may span 2000 pixels
-_SHIFT_PX = 16  # the sub-pixel part of a disparity of 0 may be negative
 _LEFT_RIGHT_PX = 1  # disagreement between both directions, at most: paper 004, section 5.2.2
 MAX_CELLS = 800e6
 """Of OpenCV's largest cost volume, pixels times disparities: a larger pair is matched at a coarser resolution."""
@@ -261,9 +260,6 @@ def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
     return strips
 
 
-# --- matching cost of mutual information -----------------------------------------------------------------------------
-
-
 _SMOOTHING_PX = 7  # window of the Gaussian that stands for the Parzen estimate, as in Hirschmueller 2008
 _WORST = 62  # the largest cost, that of two census windows of 9 x 7 which differ everywhere
 
@@ -287,9 +283,6 @@ def _information(share: np.ndarray) -> np.ndarray:
     window = (_SMOOTHING_PX, _SMOOTHING_PX if share.ndim == 2 else 1)
     smooth = cv2.GaussianBlur(np.atleast_2d(share.astype(np.float32)), window, 0)
     return cv2.GaussianBlur(-np.log(np.maximum(smooth, 1e-9)), window, 0).reshape(share.shape)
-
-
-# --- OpenCV's matcher -------------------------------------------------------------------------------------------------
 
 
 def match_sgbm(
@@ -344,6 +337,7 @@ def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.nda
 def without_speckles(disparity: np.ndarray) -> np.ndarray:
     """Disparity (h, w) f4 > -16, NaN = none, without patches of fewer than 100 pixels enclosed by jumps above one
     (paper 004, section 5.2.2)."""
-    fixed = np.where(np.isfinite(disparity), (disparity + _SHIFT_PX) * _SUBPIXEL, 0).astype(np.int16)
+    # 16: the sub-pixel part of a disparity of 0 may be negative
+    fixed = np.where(np.isfinite(disparity), (disparity + 16) * _SUBPIXEL, 0).astype(np.int16)
     cv2.filterSpeckles(fixed, 0, 100, _SUBPIXEL)
     return np.where(fixed > 0, disparity, np.float32(np.nan))

@@ -23,7 +23,6 @@ from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.names import inside
 from tiegraph.scene.results import DepthMap, row_strips
 
-_SOURCES = 20  # partners PatchMatch would choose by itself, were it run in the workspace
 _KIND = "geometric"  # the name of depth maps that were compared with each other
 _STRETCHED = 1.3  # pixels of an undistorted image per pixel of the image; more only stretches the corners
 
@@ -165,9 +164,6 @@ def _maps(camera: CameraModel, pinhole: CameraModel) -> tuple[np.ndarray, np.nda
     return x, y, valid
 
 
-# --- a dense workspace of COLMAP --------------------------------------------------------------------------------------
-
-
 def write_workspace(
     target: Path,
     model: pycolmap.Reconstruction,
@@ -201,8 +197,9 @@ def write_workspace(
     undistorted(model, set(names), settings).write(str(target / "sparse"))
     folder = target / "stereo"
     folder.mkdir(parents=True, exist_ok=True)
+    # PatchMatch, were it run in the workspace, would choose 20 partners by itself
     (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names), encoding="utf-8")
-    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, {_SOURCES}\n" for n in names), encoding="utf-8")
+    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, 20\n" for n in names), encoding="utf-8")
     return len(names)
 
 

@@ -1,12 +1,9 @@
 """The formats by name, how each is written but for maps, and which images can stay as they are because its cameras can
 say their lens.
 
-* COLMAP's folders, or written from its model: COLMAP, 3D Gaussian splatting, OpenMVS, Bundler.
-* nerfstudio's ``transforms.json``: cameras by frame, OpenGL's axes, masks, and depth along the optical axis.
-* OpenSfM's dataset: ``reconstruction.json`` in east, north, up about ``reference_lla.json``. Its lengths count in the
-  longer side of an image, its pixels from the middle of the image; a shot's rotation (an angle-axis vector) and
-  translation are those of camera_from_world.
-* Trajectories: TUM and KITTI, one a pass; of the rig (its first camera), or of the camera that is asked for.
+OpenSfM's ``reconstruction.json`` is in east, north, up about ``reference_lla.json``. Its lengths count in the longer
+side of an image, its pixels from the middle of the image; a shot's rotation (an angle-axis vector) and translation are
+those of camera_from_world.
 """
 
 from collections.abc import Iterator, Mapping
@@ -63,31 +60,29 @@ def _opencv(camera: pycolmap.Camera) -> pycolmap.Camera | None:
     if name in ("OPENCV", FISHEYE):
         return camera
     if name in _PINHOLES or name in _RADIAL:
-        wide = [camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y]
         radial = params[-_RADIAL[name] :] if name in _RADIAL else []
-        return same_lens(camera, "OPENCV", [*wide, *radial, *[0.0] * (4 - len(radial))])
+        return same_lens(camera, "OPENCV", [*_without_distortion(camera), *radial, *[0.0] * (4 - len(radial))])
     return None
+
+
+def _without_distortion(camera: pycolmap.Camera) -> list[float]:
+    return [camera.focal_length_x, camera.focal_length_y, camera.principal_point_x, camera.principal_point_y]
 
 
 def pinholes(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
     """Cameras without distortion, as PINHOLE."""
-    wide = ("focal_length_x", "focal_length_y", "principal_point_x", "principal_point_y")
-    return {
-        key: same_lens(camera, "PINHOLE", [getattr(camera, n) for n in wide])
-        for key, camera in cameras.items()
-        if camera.model_name in _PINHOLES
-    }
+    flat = {key: camera for key, camera in cameras.items() if camera.model_name in _PINHOLES}
+    return {key: same_lens(camera, "PINHOLE", _without_distortion(camera)) for key, camera in flat.items()}
 
 
 def centred(cameras: Mapping[int, pycolmap.Camera]) -> Cameras:
     """Those of them with square pixels and the principal point in the middle."""
-    return {key: camera for key, camera in pinholes(cameras).items() if _is_centred(camera)}
 
+    def off(camera: pycolmap.Camera) -> float:
+        aside, below = camera.principal_point_x - camera.width / 2, camera.principal_point_y - camera.height / 2
+        return max(abs(aside), abs(below), _uneven(camera))
 
-def _is_centred(camera: pycolmap.Camera) -> bool:
-    size = np.array([camera.width, camera.height], float)
-    off = np.array([camera.principal_point_x, camera.principal_point_y]) - size / 2
-    return bool(max(*np.abs(off), _uneven(camera)) < _OFF_PX)
+    return {key: camera for key, camera in pinholes(cameras).items() if off(camera) < _OFF_PX}
 
 
 def _uneven(camera: pycolmap.Camera) -> float:

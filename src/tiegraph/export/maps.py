@@ -15,7 +15,6 @@ from tiegraph.geometry.transforms import invert
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 
-_WGS84 = "EPSG:4979"
 FILE = "survey.gpkg"
 STYLES = {
     "cameras": style(
@@ -57,7 +56,7 @@ def gpkg(survey: Survey, target: Path) -> int:
     raw = gdal("--to gpkg", "--to geojson needs nothing")
     free = origin.crs.upper() == ENU
     layers = _layers(survey, lambda xyz: _degrees(xyz, origin) if free else crs_coordinates(xyz, origin))
-    crs = _WGS84 if free else parse_crs(origin.crs).to_wkt()
+    crs = "EPSG:4979" if free else parse_crs(origin.crs).to_wkt()
     path = target / FILE
     for name, features in layers.items():
         if features:

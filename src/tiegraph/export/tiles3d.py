@@ -18,7 +18,6 @@ from tiegraph.scene import gltf
 from tiegraph.scene.copc import Node
 
 FILE = "tileset.json"
-_SPACINGS = 4.0  # of points are a tile's error: CesiumJS lets 16 px of it pass, as of entwine's tiles
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,8 @@ def write_points(nodes: Iterable[Node], place: Place, folder: Path) -> int:
         data, low, high = points_glb(xyz, node.cloud.rgb)
         (folder / name).write_bytes(data)
         around = node.spacing / 2  # what a point stands for; and no box without a width
-        tile = Tile(uri=name, low=low - around, high=high + around, error=_SPACINGS * node.spacing)
+        # Four spacings are a tile's error: CesiumJS lets 16 px of it pass, as of entwine's tiles
+        tile = Tile(uri=name, low=low - around, high=high + around, error=4.0 * node.spacing)
         if level:
             tiles[(level - 1, *(k // 2 for k in key))].below.append(tile)
         tiles[node.key] = tile
@@ -112,15 +112,9 @@ def write_points(nodes: Iterable[Node], place: Place, folder: Path) -> int:
 
 def points_glb(xyz: np.ndarray, rgb: np.ndarray) -> tuple[bytes, np.ndarray, np.ndarray]:
     """Points (N, 3) with colours (N, 3) u1 as GLB about their middle; the corners (3,) of the box around them."""
-    local, middle, box = _about_middle(xyz)
-    arrays = gltf.Arrays()
+    middle = (xyz.min(axis=0) + xyz.max(axis=0)) / 2
+    arrays, local = gltf.Arrays(), (xyz - middle).astype("<f4")
     attributes = {"POSITION": arrays.places(local), "COLOR_0": arrays.add(gltf.linear(rgb), normalized=True)}
     said = gltf.document([{"attributes": attributes, "mode": 0, "material": 0}], middle.tolist())
-    return gltf.glb({**said, "materials": [gltf.unlit()]}, arrays), *box
-
-
-def _about_middle(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Places (N, 3) f4 about their middle (3,), and the corners of the box around what these say."""
-    middle = (xyz.min(axis=0) + xyz.max(axis=0)) / 2
-    local = (xyz - middle).astype("<f4")
-    return local, middle, (local.min(axis=0) + middle, local.max(axis=0) + middle)
+    data = gltf.glb({**said, "materials": [gltf.unlit()]}, arrays)
+    return data, local.min(axis=0) + middle, local.max(axis=0) + middle

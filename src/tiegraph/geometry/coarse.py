@@ -177,7 +177,6 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 _UPWARDS = np.array([0.36, 0.48, 0.8])  # the side of surfaces where nothing tells it: walls have one too
-_WIDER = 4  # times the points of the tuning, that the larger of two clouds may have
 
 
 @dataclass(frozen=True)
@@ -284,7 +283,7 @@ def start_of(source: np.ndarray, target: np.ndarray, tuning: CoarseTuning) -> St
         raise ValueError("the points of a cloud stand in one place: no surface")
     side = max(
         min(side_for(xyz, tuning.points) for xyz in (a, b)),
-        max(side_for(xyz, _WIDER * tuning.points) for xyz in (a, b)),
+        max(side_for(xyz, 4 * tuning.points) for xyz in (a, b)),  # points that the larger one may have
     )
     shapes = [shape_of(xyz, side, tuning, np.broadcast_to(_UPWARDS, xyz.shape), False) for xyz in (a, b)]
     tree = cKDTree(shapes[1].xyz)

@@ -18,13 +18,7 @@ if TYPE_CHECKING:
     import pyproj  # a tenth of the start of a process, and few processes ask where on the Earth they are
 
 ENU = "ENU"
-CRS_WORDS = (
-    "give EPSG:n of a projected CRS in metres (EPSG:32610 is UTM zone 10 north), a zone such as UTM10N, ENU (tangent "
-    "plane), or auto (the UTM zone of the positions)"
-)
 _TOLD_DATUM_M = 0.5  # datum operations that are less accurate are told
-_WGS84_M = 6378137.0  # half its longer axis
-_STEP_M = 50.0  # from a place to those that tell the grid's scale there
 FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
 
 
@@ -105,7 +99,12 @@ def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
     if exchanged and not here:
         remedy += "; or are latitude and longitude of the positions exchanged? Exchanged they lie in its area"
     place = f"the positions, about lat {lat_deg:.5f}, lon {lon_deg:.5f}"
-    grid = _grid(crs, lat_deg, lon_deg)
+    # Grid coordinates (east, north) by true metres to the east and north, from places 50 m off
+    steps = 50.0 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    lat, lon, _ = geodetic_from_world(steps, Origin(lat_deg, lon_deg, 0.0)).T
+    east, north, _ = (np.asarray(v) for v in crs_transformer(crs).transform(lon, lat, np.zeros(4)))
+    with np.errstate(invalid="ignore"):  # outside: infinite
+        grid = np.stack([[v[0] - v[1], v[2] - v[3]] for v in (east, north)]) / (2 * 50.0)
     if not np.isfinite(grid).all():
         raise InputError(f"{where}: {place}, lie outside it: {remedy}")
     largest, smallest = np.linalg.svd(grid, compute_uv=False)
@@ -115,15 +114,6 @@ def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
         raise InputError(f"{where}: lengths in it are {scales} at {place}: {remedy}")
     if np.linalg.det(grid) < 0:
         raise InputError(f"{where}: its axes make mirror images of east and north: {remedy}")
-
-
-def _grid(crs: str, lat_deg: float, lon_deg: float) -> np.ndarray:
-    """(2, 2) grid coordinates (east, north) by true metres to the east and north, at a position on the ellipsoid."""
-    steps = _STEP_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-    lat, lon, _ = geodetic_from_world(steps, Origin(lat_deg, lon_deg, 0.0)).T
-    east, north, _ = (np.asarray(v) for v in crs_transformer(crs).transform(lon, lat, np.zeros(4)))
-    with np.errstate(invalid="ignore"):  # outside: infinite
-        return np.stack([[v[0] - v[1], v[2] - v[3]] for v in (east, north)]) / (2 * _STEP_M)
 
 
 def _in_area(crs: pyproj.CRS, lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
@@ -205,7 +195,10 @@ def parse_crs(crs: str) -> pyproj.CRS:
     except pyproj.exceptions.CRSError:
         zones = utm_by_name(crs)
         hint = f": {zones[0]} is that zone north of the equator, {zones[1]} south of it" if len(zones) == 2 else ""
-        raise InputError(f"unknown CRS {crs!r}{hint}; {CRS_WORDS}") from None
+        raise InputError(
+            f"unknown CRS {crs!r}{hint}; give EPSG:n of a projected CRS in metres (EPSG:32610 is UTM zone 10 north), a "
+            "zone such as UTM10N, ENU (tangent plane), or auto (the UTM zone of the positions)"
+        ) from None
     if not parsed.is_projected:
         raise InputError(f"CRS {crs!r} ({parsed.name}) is not projected: give a projected one in metres, or ENU")
     other = next((a for a in parsed.axis_info if abs(a.unit_conversion_factor - 1) > 1e-12), None)
@@ -271,7 +264,7 @@ def datum_note(crs: str) -> str:
 
     ellipsoid = pyproj.CRS.from_user_input(crs).ellipsoid
     named = "Ballpark geographic" not in operations[0].description
-    if named or ellipsoid is None or abs(ellipsoid.semi_major_metre - _WGS84_M) < 1:
+    if named or ellipsoid is None or abs(ellipsoid.semi_major_metre - 6378137.0) < 1:
         return ""
     return (
         f"its datum is not named, and on the ellipsoid {ellipsoid.name} places may lie hundreds of metres from "

@@ -69,10 +69,6 @@ def _read_pcd(path: Path, columns: Sequence[str]) -> Points:
         return points_of({f: cloud.pc_data[f] for f in cloud.fields if not f.startswith("__")}, str(path))
 
 
-def _read_ply(path: Path, columns: Sequence[str]) -> Points:
-    return Points(read_cloud(path).xyz_m, None)
-
-
 def _read_npz(path: Path, columns: Sequence[str]) -> Points:
     regular(path, None)
     with _reading(path), np.load(path) as data:
@@ -110,7 +106,7 @@ def _reading(path: Path) -> Iterator[None]:
 READERS: dict[str, Callable[[Path, Sequence[str]], Points]] = {
     ".bin": _read_bin,
     ".pcd": _read_pcd,
-    ".ply": _read_ply,
+    ".ply": lambda path, columns: Points(read_cloud(path).xyz_m, None),
     ".npz": _read_npz,
     ".las": _read_las,
     ".laz": _read_las,

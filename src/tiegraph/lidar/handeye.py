@@ -7,8 +7,9 @@ Turns tell the turn of X, and the clock; the lever arm is told by turns alone, s
 leaves it open, and that is said with the direction. Sigmas: the larger of the adjustment's, for residuals as large as
 they are, and of the jackknife over parts of the time.
 
-What both sides have measured tells more than their motion (``pointtie``): with one world laid on the other, every frame
-has the LiDAR's place on the rig (``settled``). What is left of the clock's sigma times the speed is in its sigma.
+Two trajectories of a few seconds hardly tell the lever arm. What both sides have measured tells more (``pointtie``):
+with one world laid on the other, every frame has the LiDAR's place on the rig (``settled``). What is left of the
+clock's sigma times the speed is in its sigma.
 """
 
 from dataclasses import dataclass, replace

@@ -86,8 +86,6 @@ def _engine(far_m: float) -> Any:
     return KissICP(config)
 
 
-_SPAN = 1 << 20  # cells to both sides of the first scan that a key has room for
-_GREY, _MOST_VIEWS = 128, 255
 _MOST_POINTS = 20_000_000  # voxels held: 1 GiB
 _BATCH_POINTS = 2_000_000  # gathered before they are merged
 
@@ -97,7 +95,6 @@ class MapCloud:
 
     def __init__(self, voxel_m: float) -> None:
         self.voxel_m = voxel_m
-        self._keys = np.zeros(0, np.int64)
         self._sums: np.ndarray = np.zeros((0, 4))  # x, y, z, number
         self._waiting: list[np.ndarray] = []
         self._count = 0
@@ -116,30 +113,24 @@ class MapCloud:
         missing = np.full((len(number), 3), np.nan, np.float32)
         return Cloud(
             xyz_m=self._sums[:, :3] / np.maximum(number, 1),
-            rgb=np.full((len(number), 3), _GREY, np.uint8),
+            rgb=np.full((len(number), 3), 128, np.uint8),
             normal=missing,
             sigma_m=missing[:, 0],
-            views=np.minimum(number[:, 0], _MOST_VIEWS).astype(np.uint8),
+            views=np.minimum(number[:, 0], 255).astype(np.uint8),
         )
 
     def _merge(self) -> None:
         rows = np.concatenate([self._sums, *self._waiting])
         self._waiting, self._count = [], 0
         self._gather(rows)
-        while len(self._keys) > _MOST_POINTS:
+        while len(self._sums) > _MOST_POINTS:
             self.voxel_m *= 1.5
             self._gather(self._sums)
 
     def _gather(self, rows: np.ndarray) -> None:
-        cell = np.floor(rows[:, :3] / np.maximum(rows[:, 3:], 1) / self.voxel_m).astype(np.int64)
-        cell = np.clip(cell, -_SPAN, _SPAN - 1) + _SPAN
-        key = (cell[:, 0] * 2 * _SPAN + cell[:, 1]) * 2 * _SPAN + cell[:, 2]
-        self._keys, group = np.unique(key, return_inverse=True)
-        columns = [np.bincount(group, rows[:, k], len(self._keys)) for k in range(4)]
-        self._sums = np.stack(columns, axis=1)
+        group = np.unique(voxel_keys(rows[:, :3] / np.maximum(rows[:, 3:], 1), self.voxel_m), return_inverse=True)[1]
+        self._sums = np.stack([np.bincount(group, rows[:, k]) for k in range(4)], axis=1)
 
-
-# --- adjustment -----------------------------------------------------------------------------------------------------
 
 _DAMPING = 1e-6  # of the normal equations, relative
 
@@ -177,26 +168,7 @@ def adjust(scans: list[ThinScan], poses: np.ndarray, held: int, tuning: AdjustTu
     return poses
 
 
-@dataclass(frozen=True)
-class _Planes:
-    """L planes: middle (L, 3) of their points and axes (L, 3, 3), columns: normal, then two along the plane; of the
-    P points on one: its plane and its row."""
-
-    middle: np.ndarray
-    axes: np.ndarray
-    plane: np.ndarray
-    row: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Groups:
-    """G scans on planes: plane (G,), scan (G,), number of points (G,), and four rows (G, 4, 4) whose squared distances
-    from any plane add up to those of the points (the root of their moments), in the scan's frame."""
-
-    plane: np.ndarray
-    scan: np.ndarray
-    count: np.ndarray
-    rows: np.ndarray
+_Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _step(
@@ -206,26 +178,25 @@ def _step(
     scan = np.repeat(np.arange(len(seen)), [len(x) for x in seen])
     xyz = np.concatenate(seen)
     world = np.einsum("nij,nj->ni", poses[scan, :3, :3], xyz) + poses[scan, :3, 3]
-    planes = _find_planes(world, scan, stage, sigma_m)
-    if not len(planes.middle):
+    middle, axes, plane, row = _find_planes(world, scan, stage, sigma_m)
+    if not len(middle):
         return poses
-    groups = _moments(xyz[planes.row], scan[planes.row], planes.plane)
-    step = _solve(groups, planes, poses, held, sigma_m)
+    step = _solve(_moments(xyz[row], scan[row], plane), (middle, axes), poses, held, sigma_m)
     out = poses.copy()
     out[held:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix() @ poses[held:, :3, :3]
     out[held:, :3, 3] += step[:, 3:]
     return out
 
 
-def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float], sigma_m: float) -> _Planes:
-    """Flat voxels that two scans at least have points in."""
+def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float], sigma_m: float) -> _Four:
+    """Flat voxels that two scans at least have points in: middle (L, 3) of their points and axes (L, 3, 3), columns:
+    normal, then two along the plane; of the P points on one: its plane and its row."""
     side_m, thick_m = stage
     _, voxel = np.unique(voxel_keys(world, side_m), return_inverse=True)
-    first = _scatter(world, voxel, np.ones(len(world), bool))
-    off = np.abs(np.einsum("ni,ni->n", world - first.middle[voxel], first.axes[voxel, :, 0]))
-    near = off < 3 * np.sqrt(np.maximum(first.spread[:, 0], sigma_m**2))[voxel]
-    found = _scatter(world, voxel, near)
-    count, spread = found.count, found.spread
+    _, middle, spread, axes = _scatter(world, voxel, np.ones(len(world), bool))
+    off = np.abs(np.einsum("ni,ni->n", world - middle[voxel], axes[voxel, :, 0]))
+    near = off < 3 * np.sqrt(np.maximum(spread[:, 0], sigma_m**2))[voxel]
+    count, middle, spread, axes = _scatter(world, voxel, near)
     several = np.bincount(np.unique(voxel[near] * (scan[-1] + 1) + scan[near]) // (scan[-1] + 1), minlength=len(count))
     good = (
         (count >= 12)
@@ -236,22 +207,12 @@ def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float]
     )
     number = np.cumsum(good) - 1
     row = np.flatnonzero(near & good[voxel])
-    return _Planes(middle=found.middle[good], axes=found.axes[good], plane=number[voxel[row]], row=row)
+    return middle[good], axes[good], number[voxel[row]], row
 
 
-@dataclass(frozen=True)
-class _Scatter:
-    """Of V voxels: number of points (V,), their mean (V, 3), the eigenvalues of their scatter (V, 3), growing, and its
-    axes (V, 3, 3), columns."""
-
-    count: np.ndarray
-    middle: np.ndarray
-    spread: np.ndarray
-    axes: np.ndarray
-
-
-def _scatter(world: np.ndarray, voxel: np.ndarray, taken: np.ndarray) -> _Scatter:
-    """Of the points (N, 3) taken (N,) bool, by their voxel (N,)."""
+def _scatter(world: np.ndarray, voxel: np.ndarray, taken: np.ndarray) -> _Four:
+    """Of V voxels, by the points (N, 3) taken (N,) bool and their voxels (N,): number of points (V,), mean (V, 3),
+    eigenvalues of the scatter (V, 3), growing, and its axes (V, 3, 3), columns."""
     cells, voxel, world = int(voxel.max()) + 1, voxel[taken], world[taken]
     count = np.bincount(voxel, minlength=cells)
     some = np.maximum(count, 1)[:, None]
@@ -259,7 +220,7 @@ def _scatter(world: np.ndarray, voxel: np.ndarray, taken: np.ndarray) -> _Scatte
     away = world - middle[voxel]
     spread = _second_moments(away, voxel, cells) / some[:, None]
     values, axes = np.linalg.eigh(spread)
-    return _Scatter(count=count, middle=middle, spread=values, axes=axes)
+    return count, middle, values, axes
 
 
 def _second_moments(rows: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
@@ -272,37 +233,42 @@ def _second_moments(rows: np.ndarray, group: np.ndarray, groups: int) -> np.ndar
     return out
 
 
-def _moments(xyz: np.ndarray, scan: np.ndarray, plane: np.ndarray) -> _Groups:
+def _moments(xyz: np.ndarray, scan: np.ndarray, plane: np.ndarray) -> _Four:
+    """G scans on planes: plane (G,), scan (G,), number of points (G,), and four rows (G, 4, 4) whose squared distances
+    from any plane add up to those of the points (the root of their moments), in the scan's frame."""
     scans = int(scan.max()) + 1
     both, group = np.unique(plane * scans + scan, return_inverse=True)
     moments = _second_moments(np.column_stack([xyz, np.ones(len(xyz))]), group, len(both))
     values, vectors = np.linalg.eigh(moments)
     rows = np.sqrt(np.maximum(values, 0))[:, :, None] * np.swapaxes(vectors, 1, 2)
-    return _Groups(plane=both // scans, scan=both % scans, count=np.bincount(group), rows=rows)
+    return both // scans, both % scans, np.bincount(group), rows
 
 
-def _solve(groups: _Groups, planes: _Planes, poses: np.ndarray, held: int, sigma_m: float) -> np.ndarray:
+def _solve(
+    moments: _Four, planes: tuple[np.ndarray, np.ndarray], poses: np.ndarray, held: int, sigma_m: float
+) -> np.ndarray:
     """(T - held, 6) turn about the world's axes and shift of each free pose."""
-    middle, axes = planes.middle[groups.plane], planes.axes[groups.plane]
-    normal, weight = axes[:, :, 0], groups.rows[:, :, 3:]
-    turned = groups.rows[:, :, :3] @ np.swapaxes(poses[groups.scan, :3, :3], 1, 2)
-    placed = turned + weight * (poses[groups.scan, :3, 3] - middle)[:, None]
+    plane, scan, number, rows = moments
+    middle, axes = (of[plane] for of in planes)
+    normal, weight = axes[:, :, 0], rows[:, :, 3:]
+    turned = rows[:, :, :3] @ np.swapaxes(poses[scan, :3, :3], 1, 2)
+    placed = turned + weight * (poses[scan, :3, 3] - middle)[:, None]
     residual = np.einsum("gki,gi->gk", placed, normal)
-    rms = np.sqrt(np.sum(residual**2, axis=1) / groups.count)
+    rms = np.sqrt(np.sum(residual**2, axis=1) / number)
     scale = 1 / np.sqrt(1 + (rms / (2 * sigma_m)) ** 2)  # Cauchy's weight: voxels that are two surfaces
     by_pose = np.concatenate([np.cross(turned, normal[:, None]), weight * normal[:, None]], axis=2)
     by_plane = np.concatenate([placed @ axes[:, :, 1:], weight], axis=2)
     by_pose, by_plane, residual = (scale[:, None, None] * m for m in (by_pose, by_plane, residual[:, :, None]))
-    free = groups.scan >= held
-    pose = (groups.scan - held)[free]
-    size, count = len(poses) - held, len(planes.middle)
-    of_plane = _summed(np.swapaxes(by_plane, 1, 2) @ by_plane, groups.plane, count)
+    free = scan >= held
+    pose = (scan - held)[free]
+    size, count = len(poses) - held, len(planes[0])
+    of_plane = _summed(np.swapaxes(by_plane, 1, 2) @ by_plane, plane, count)
     trace = np.trace(of_plane, axis1=1, axis2=2)[:, None, None]
     inverse = np.linalg.inv(of_plane + (_DAMPING * trace + _DAMPING) * np.eye(3))
-    pull = _summed(np.swapaxes(by_plane, 1, 2) @ residual, groups.plane, count)[:, :, 0]
-    cross = np.swapaxes(by_pose[free], 1, 2) @ by_plane[free]
-    tied = _blocks(cross, pose, groups.plane[free], (size, count))
-    solved = _blocks(cross @ inverse[groups.plane[free]], pose, groups.plane[free], (size, count))
+    pull = _summed(np.swapaxes(by_plane, 1, 2) @ residual, plane, count)[:, :, 0]
+    cross, met = np.swapaxes(by_pose[free], 1, 2) @ by_plane[free], plane[free]
+    tied = _blocks(cross, pose, met, (size, count))
+    solved = _blocks(cross @ inverse[met], pose, met, (size, count))
     matrix = -solved @ tied.T
     own = _summed(np.swapaxes(by_pose[free], 1, 2) @ by_pose[free], pose, size)
     for k in range(size):

@@ -1,8 +1,4 @@
-"""The run's world laid on the LiDAR's by points: those of the run against surfaces of the map.
-
-Two trajectories of a few seconds tell the turn of a LiDAR on the rig and the clocks, but hardly its lever arm. What
-both have measured tells where one world lies in the other, and with it the lever arm at every frame.
-"""
+"""The run's world laid on the LiDAR's by points: those of the run against surfaces of the map."""
 
 from dataclasses import dataclass
 

@@ -21,10 +21,10 @@ from tiegraph.scene.bags import is_bag, open_bag, split_topics, stamp_ns
 from tiegraph.scene.cells import in_seconds, parse_time
 from tiegraph.scene.cells import times as times_by_content
 from tiegraph.scene.posefile import read_poses
+from tiegraph.scene.sorting import row_numbers
 from tiegraph.scene.table import Table, read_table
 from tiegraph.scene.times import times_in, times_of
 
-_CLOUD_KINDS = ("sensor_msgs/PointCloud2",)
 _FIELD_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # by PointField.datatype, from 1
 _FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, KITTI raw, PandaSet
 LEAST_POINTS = 50  # of a scan
@@ -76,12 +76,7 @@ def open_scans(path: Path, how: LidarSettings) -> Recording:
 def _stream(path: Path, how: LidarSettings, read: Callable[[Path], Iterator[tuple[float, Points]]]) -> Recording:
     if how.poses is not None or how.times is not None or how.rate_hz is not None:
         raise InputError(f"{path}: its scans have times of their own: leave --times, --rate-hz and --poses out")
-
-    def scans() -> Iterator[Scan]:
-        found = ((f"scan {k}", stamp, points) for k, (stamp, points) in enumerate(read(path), start=1))
-        return _in_order(path, (_scan(*one) for one in found))
-
-    return Recording(scans)
+    return Recording(lambda: _in_order(path, (_scan(f"scan {k}", *one) for k, one in enumerate(read(path), start=1))))
 
 
 def _files(folder: Path, how: LidarSettings) -> Recording:
@@ -90,7 +85,8 @@ def _files(folder: Path, how: LidarSettings) -> Recording:
         raise InputError(f"{files[0]}: the only scan; a trajectory needs at least 2")
     stems = [f.stem for f in files]
     stamps: list[float | None] = [None] * len(files)
-    times = how.times or (None if how.rate_hz else find_times(files[0].parent))
+    beside = (place / name for place in files[0].parents[:2] for name in _FILES)
+    times = how.times or next((file for file in beside if file.is_file()), None)
     if how.rate_hz is not None:
         stamps = [k / how.rate_hz for k in range(len(files))]
     elif times is not None:
@@ -99,15 +95,13 @@ def _files(folder: Path, how: LidarSettings) -> Recording:
     given = None if how.poses is None else of_scans(how.poses, read_scan_poses(how.poses), stems)
 
     def scans() -> Iterator[Scan]:
-        return _in_order(folder, (one(k) for k in range(len(files))))
+        for k, file in enumerate(files):
+            points = READERS[file.suffix.lower()](file, how.columns)
+            if given is not None:  # points in a world were put there by their own times
+                points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
+            yield _scan(str(file), stamps[k], points)
 
-    def one(k: int) -> Scan:
-        points = READERS[files[k].suffix.lower()](files[k], how.columns)
-        if given is not None:  # points in a world were put there by their own times
-            points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
-        return _scan(str(files[k]), stamps[k], points)
-
-    return Recording(read=scans, count=len(files), given=given, notes=tuple(notes))
+    return Recording(lambda: _in_order(folder, scans()), count=len(files), given=given, notes=tuple(notes))
 
 
 def scan_files(folder: Path) -> tuple[list[Path], list[str]]:
@@ -209,7 +203,7 @@ def bag_scans(path: Path) -> Iterator[tuple[float, Points]]:
     """
     bag_path, asked = split_topics(path)
     with open_bag(bag_path) as bag:
-        topic = bag.only(_CLOUD_KINDS, asked)
+        topic = bag.only(("sensor_msgs/PointCloud2",), asked)
         for number, (message, received_ns) in enumerate(bag.messages(topic), start=1):
             name = f"{bag_path}: message {number} of {topic.name}"
             yield stamp_ns(message.header, received_ns) * 1e-9, message_points(message, name)
@@ -281,16 +275,7 @@ def first_of_voxels(xyz: np.ndarray, size: float) -> np.ndarray:
 
 def voxel_keys(xyz: np.ndarray, size: float) -> np.ndarray:
     """(N,) i8: equal for points (N, 3) in one voxel of this side."""
-    cell = np.floor(xyz / size).astype(np.int64)
-    cell -= cell.min(axis=0)
-    extent = cell.max(axis=0) + 1
-    return (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
-
-
-def find_times(folder: Path) -> Path | None:
-    """The file of times in the folder of the scans or in the one above it."""
-    places = [place / name for place in (folder, folder.parent) for name in _FILES]
-    return next((p for p in places if p.is_file()), None)
+    return row_numbers(np.floor(xyz / size).astype(np.int64).T)
 
 
 def read_scan_times(path: Path, stems: Sequence[str]) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Classification of an image by the learnt table: sky, water, platform and burnt-out areas.
 
-Regions without an edge inside are judged as one, whatever the table gives for their single pixels.
-
 The appearance of sky, water and the static scene in this survey is one table over colour, brightness and texture,
 learnt from seeds of the survey itself (Achar et al. 2011: self-supervised segmentation of river scenes), so it needs no
 labels and no weights, and the lookup of a pixel costs nothing.

@@ -4,7 +4,7 @@ And how good masks are: against masks made by hand or known to be true, per came
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -21,7 +21,6 @@ from tiegraph.text import some
 
 ALL = "all"
 COLUMNS = ("camera", "images", "accuracy %", "IoU %", "useful lost %", "useless kept %")
-_TWO_LEVELS = ({0, 255}, {0, 1})
 
 
 def candidates(name: str) -> list[str]:
@@ -86,7 +85,7 @@ def read_mask_file(path: Path, keep_labels: Sequence[int] = ()) -> np.ndarray:
         if set(found.tolist()) == {0, 255} and not {0, 255} & set(keep_labels):
             raise InputError(f"{path}: this is a mask of 0 and 255, not class labels; omit masks.keep_labels")
         return np.isin(values, list(keep_labels))
-    if not any(set(found.tolist()) <= levels for levels in _TWO_LEVELS):
+    if not any(set(found.tolist()) <= levels for levels in ({0, 255}, {0, 1})):
         shown = ", ".join(str(v) for v in found[:6]) + (f", ... {found[-1]}" if len(found) > 6 else "")
         raise InputError(
             f"{path}: {len(found)} different values ({shown}); a mask has 0 = ignore and 255 (or 1) = use, saved "
@@ -143,9 +142,6 @@ def _missing(folder: Path, missing: Sequence[str], total: int) -> InputError:
     )
 
 
-# --- how good masks are -----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class MaskRow:
     """Figures of one camera, or of all; shares 0..1 over all pixels of its images, NaN if there are none to count."""
@@ -167,11 +163,8 @@ class MaskComparison:
 
     def table(self) -> dict:
         """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
-        shares = [(r.accuracy, r.iou, r.useful_lost, r.useless_kept) for r in self.rows]
-        return {
-            "columns": list(COLUMNS),
-            "rows": [[r.camera, r.images, *_percent(s)] for r, s in zip(self.rows, shares)],
-        }
+        rows = [[camera, images, *_percent(shares)] for camera, images, *shares in map(astuple, self.rows)]
+        return {"columns": list(COLUMNS), "rows": rows}
 
 
 def compare(found: Path, truth: Path, cameras: Mapping[str, str], keep_labels: Sequence[int] = ()) -> MaskComparison:

@@ -1,8 +1,8 @@
 """Masks learnt from the survey itself: platform, sky, water and overexposure, without weights and without labels.
 
-Seeds of sky, water and static scene in single images come first; from them appearances and places are learnt. Sky lies
-above the rest: its edges face down, those of a pale road seen from the air face every way. Matches cannot distinguish a
-sky from a smooth surface seen straight from above: neither has any. Over all images of a survey their edges can.
+Sky lies above the rest: its edges face down, those of a pale road seen from the air face every way. Matches cannot
+distinguish a sky from a smooth surface seen straight from above: neither has any. Over all images of a survey their
+edges can.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -212,11 +212,12 @@ def learn(
     count = max(tuning.labels.least_images, tuning.labels.images // max(1, len(cameras)))
     jobs = [
         LabelJob(
-            camera=k, image=image, matchability=matchability, zone=zones[k].mask if k in water else None,
+            camera=k, image=image, matchability=matched.get(image), zone=zones[k].mask if k in water else None,
             platform=platforms[k], upward=k in upward, tuning=tuning,
         )
         for k, images in cameras.items()
-        for image, matchability in _seed_images(images, seen[k], count)
+        for matched in [{e.image: e for e in seen[k]}]
+        for image in dict.fromkeys([*matched, *spread(images, count)])
     ]  # fmt: skip
     # The first time: appearances, and the lowest row in which sky is searched
     labels = list(apply(first_labels, jobs))
@@ -271,13 +272,6 @@ def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
     enough = max(2, 0.1 * len(known))
     agreed = known[np.array(near) >= enough] if len(known) else known
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
-
-
-def _seed_images(
-    images: Sequence[Path], seen: Sequence[Matchability], count: int
-) -> list[tuple[Path, Matchability | None]]:  # with evidence first, then others spread over the sequence
-    by_image: dict[Path, Matchability | None] = {e.image: e for e in seen}
-    return [(image, by_image.get(image)) for image in dict.fromkeys([*by_image, *spread(images, count)])]
 
 
 def _appearances(

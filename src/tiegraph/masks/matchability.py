@@ -5,9 +5,6 @@ A wall is found again in the next frame, water is not, however much texture it s
 The distance of matches follows from two images: sky has no parallax, a wall that looks like sky has as much as others.
 No lens is known yet. Two focal lengths are tried, and a match that is far by one of them is not called near: on walls,
 kitchens and car parks every match is near by both, on clouds hardly one.
-
-Before anything is masked, the survey itself may refute a class by its matches: a platform is fixed while the scene
-moves, so frames must verify motion; the matches in a sky must be farther than the scene.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -151,9 +148,6 @@ def _by_focal(
         # Px by which the scene's median depth must move a match
         known = (middle > 0) & (focal * length * middle > 3.0) & (far[:, 2] > 0)
         return np.where(known, inverse / middle, np.nan)
-
-
-# --- what matches refute ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -209,9 +209,6 @@ def _enclosed(platform: np.ndarray, moving: np.ndarray) -> np.ndarray:
     return accepted[labels]
 
 
-# --- images that are hardly worth keeping ----------------------------------------------------------------------------
-
-
 def image_quality(image: Path, before: Path | None, use: np.ndarray, tuning: Tuning) -> tuple[float, float]:
     """Sharpness of an image, the share of its detail that is fine, and the share of its texture that moved since the
     one ``before``; on the pixels (h, w) bool that its mask uses, at any size. NaN where there is nothing to measure."""

@@ -1,7 +1,5 @@
 """The sky of one image by its border, the curve along which sky and ground differ most (Shen and Wang 2013), and
-false skies: the model has points there, although nothing is seen through a sky but more sky.
-
-A point seen by other images need not be visible in this one to contradict it: sky hides nothing. So a pale wall that
+false skies: the model has points there, whether seen in this image or not, for sky hides nothing. So a pale wall that
 was called sky in every image is detected, by its windows and by the scene behind it.
 """
 
@@ -10,10 +8,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.masks import SKY, USE
-from tiegraph.masks.frames import dilated, eroded, full_size, grey
+from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened
 from tiegraph.masks.tuning import SkylineTuning, SkyPointsTuning
-
-_GAMMA = 2.0  # Shen and Wang, section 3: it is part of their energy J
 
 
 def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None = None) -> np.ndarray | None:
@@ -58,7 +54,8 @@ def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: Skyl
     usable = (share > tuning.min_share) & (share < 0.85)
     if not usable.any():
         return None
-    energy = 1 / (_GAMMA * _spread(sums) + _spread(total - sums) + 1e-9)
+    # Shen and Wang, section 3, have the sky count twice
+    energy = 1 / (2.0 * _spread(sums) + _spread(total - sums) + 1e-9)
     best = int(np.argmax(np.where(usable, energy, -1)))
     return np.arange(height)[:, None] < borders[best]
 
@@ -123,20 +120,14 @@ def without_points(classes: np.ndarray, points: np.ndarray, tuning: SkyPointsTun
     column, row = (points * (width, height)).astype(int).T
     hit[row.clip(0, height - 1), column.clip(0, width - 1)] = 1
     outside = float(hit[sky == 0].mean())
-    joint, hole, edge = (_square(share, sky.shape) for share in (tuning.joint, tuning.hole, tuning.edge))
-    count, labels = cv2.connectedComponents(cv2.morphologyEx(sky, cv2.MORPH_OPEN, joint), connectivity=4)
+    joint, hole, edge = (2 * round(s * max(sky.shape) / 2) + 1 for s in (tuning.joint, tuning.hole, tuning.edge))
+    count, labels = cv2.connectedComponents(opened(sky, joint).astype(np.uint8), connectivity=4)
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
         own = labels == piece
-        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, hole)
-        inner = cv2.erode(filled, edge, borderValue=1) > 0
+        inner = eroded(closed(own, hole), edge)
         found = int(hit[inner].sum())
         if found >= tuning.least_points and found > tuning.dense * outside * inner.sum():
             solid |= own
-    grown = cv2.dilate(solid.astype(np.uint8), joint) > 0  # what the opening took off
+    grown = dilated(solid, joint)  # what the opening took off
     return np.where(grown & (sky > 0), USE, classes).astype(np.uint8)
-
-
-def _square(share: float, shape: tuple[int, ...]) -> np.ndarray:
-    side = 2 * round(share * max(shape) / 2) + 1
-    return np.ones((side, side), np.uint8)

@@ -1,8 +1,5 @@
 """The line of the water: in single images before any model, then from geometry.
 
-Before any model: where features never match again in the images of a camera is a zone of water, and in each image the
-line below which everything is water.
-
 From geometry: a level plane below the cameras, out to the banks of the sparse model. Everything is in the model's
 units. The plane's height is measured where the waterlines of the first masks meet the banks, so it needs neither scale
 nor GNSS; the first masks' errors average out over thousands of rays.
@@ -102,9 +99,6 @@ def below_waterline(
     line_px = np.interp(np.arange(width), (np.arange(columns) + 0.5) * width / columns - 0.5, line) * height / rows
     water = np.arange(height)[:, None] + 0.5 > line_px
     return water if ego is None else water & ~ego
-
-
-# --- from geometry ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

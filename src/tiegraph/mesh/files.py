@@ -13,7 +13,6 @@ from tiegraph.mesh.surface import Mesh
 from tiegraph.scene import gltf
 
 _AT_ONCE = 200_000  # lines of text made together
-_CLAMP = 33071
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ def glb(textured: Textured, pictures: Sequence[bytes], said: dict, middle: Seque
         "materials": [gltf.unlit(baseColorTexture={"index": k}) for k in range(len(images))],
         "textures": [{"source": k, "sampler": 0} for k in range(len(images))],
         "images": images,
-        "samplers": [{"wrapS": _CLAMP, "wrapT": _CLAMP}],
+        "samplers": [{"wrapS": 33071, "wrapT": 33071}],
     }
     return gltf.glb({**gltf.document(primitives, middle, extras=said), **looks}, arrays)
 

@@ -1,7 +1,7 @@
 """From points with normals to a surface of triangles: Poisson's, cut to where there are points, and simplified.
 
-Poisson's surface (Kazhdan and Hoppe 2013, as COLMAP has it) is closed: where nothing was seen it bulges. It is kept as
-far as points reach, and a little farther where they are sparse or uncertain.
+Poisson's surface (Kazhdan and Hoppe 2013) is kept as far as points reach, and a little farther where they are sparse or
+uncertain.
 """
 
 from collections.abc import Callable
@@ -11,21 +11,18 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from tiegraph.errors import ReconstructionError
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.tuning import SurfaceTuning
+from tiegraph.scene.graph import parts
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 MOST_POINTS = 4_000_000
 """Points that the surface is made of at most, which bounds the memory."""
 _DEPTHS = (5, 13)  # levels of the octree: 13 are what COLMAP takes at most
-_NEIGHBOURS, _APART = 6, 1.4  # the sixth neighbour in a square grid lies 1.4 spacings away
-_SPARSEST = 8.0  # spacing of points, in details, that the surface bridges: what is sparser is a few strays
 _POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")])
 _CORNER = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _KINDS = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4"}
@@ -106,8 +103,7 @@ def hanging(mesh: Mesh, doubtful: np.ndarray) -> np.ndarray:
 
 def pieces(count: int, pairs: np.ndarray) -> np.ndarray:
     """(count,) number of the connected piece that each item is of, by pairs (E, 2) of connected ones."""
-    links = coo_matrix((np.ones(len(pairs), bool), pairs.T), (count, count))
-    return np.asarray(connected_components(links, directed=False)[1])
+    return parts(pairs[:, 0], pairs[:, 1], count)
 
 
 def mesh_of(
@@ -206,17 +202,14 @@ def simplified(mesh: Mesh, faces: int, scratch: Path, send: Any = None) -> Mesh:
 def _near(mesh: Mesh, xyz: np.ndarray, sigma: np.ndarray, detail: float, tuning: SurfaceTuning) -> Mesh:
     """The faces whose corners all lie near a point, nearer at the border than in gaps."""
     tree = cKDTree(xyz)
-    apart = tree.query(xyz, min(_NEIGHBOURS + 1, len(xyz)))[0][:, -1] / _APART
-    local = np.clip(apart, detail, _SPARSEST * detail)
+    # The sixth neighbour in a square grid lies 1.4 spacings away; what is sparser than eight details is a few strays
+    local = np.clip(tree.query(xyz, min(7, len(xyz)))[0][:, -1] / 1.4, detail, 8.0 * detail)
     distance, nearest = tree.query(mesh.xyz)
     reach = np.maximum(tuning.reach * local, tuning.sigmas * np.nan_to_num(sigma))[nearest]
     there = (distance <= reach)[mesh.corners].all(axis=1)
     far = (distance > tuning.rim * local[nearest])[mesh.corners].any(axis=1)[there]
     cut = mesh.of_faces(there)
     return cut.of_faces(~hanging(cut, far))
-
-
-# --- PLY --------------------------------------------------------------------------------------------------------------
 
 
 def _header(lines: list[str]) -> bytes:

@@ -1,8 +1,6 @@
 """Textures: the parts of images that faces have their colours from, laid out on a few pictures.
 
-Each patch of faces that have their colours from one image is a rectangle of that image, reduced where it is finer than
-the others, so there is nothing to unwrap and nothing is stretched. Faces that no image sees have 2 x 2 pixels each,
-between whose corners the colours of their vertices are interpolated.
+Faces that no image sees have 2 x 2 pixels each, between whose corners the colours of their vertices are interpolated.
 
 Colours of patches are made equal where they meet: what is added to those of a patch varies smoothly over it, so that
 two patches agree along their border (Lempitsky and Ivanov 2007; Waechter, Moehrle and Goesele 2014), by least squares
@@ -30,9 +28,6 @@ JPEG = (cv2.IMWRITE_JPEG_QUALITY, 92)
 _BARE = 4  # pixels along the edge of what an unseen face has, with its border
 _FULL = 0.9  # share of the textures that rectangles may fill
 _ALONG = 8  # places along the edge of a seam whose colours are compared
-_WITHIN = 0.15  # of the height of its face: how far within they lie
-_HELD = 1e-4  # weight by which colours stay: what no border tells
-_CLOSE, _MOST_ROUNDS = 1e-4, 1000  # of conjugate gradients
 _ROWS = 1 << 14  # places that OpenCV takes at once
 
 
@@ -75,9 +70,8 @@ def laid_out(mesh: Mesh, label: np.ndarray, views: Sequence[Pinhole], edge: int,
     number = patches(label, pairs)
     seen = label != UNSEEN
     patch = np.full(len(label), UNSEEN)
-    kept, patch[seen] = np.unique(number[seen], return_inverse=True)
-    first = np.searchsorted(np.sort(patch[seen]), np.arange(len(kept)))
-    image = label[seen][np.argsort(patch[seen], kind="stable")[first]]
+    _, first, patch[seen] = np.unique(number[seen], return_index=True, return_inverse=True)
+    image = label[seen][first]
     low, size, pixel = _rectangles(mesh, patch, image, views)
     bare = int(np.count_nonzero(~seen))
     columns = int(np.clip(np.ceil(np.sqrt(bare)), 1, edge // _BARE))
@@ -256,12 +250,12 @@ def own_sides(layout: Layout, nodes: Nodes, k: int) -> np.ndarray:
 
 
 def edge_colours(rgb: np.ndarray, mesh: Mesh, nodes: Nodes, sides: np.ndarray, view: Pinhole) -> np.ndarray:
-    """RGB (M, 3) f4 that an image has along the edges of seams on its sides (M, 2), the mean of each; a little within
-    its own face, for beyond the edge may be the background."""
+    """RGB (M, 3) f4 that an image has along the edges of seams on its sides (M, 2), the mean of each; within its own
+    face, by 0.15 of its height, for beyond the edge may be the background."""
     ends = mesh.xyz[nodes.vertex[nodes.seam[sides[:, 0], :2]]]
     share = (np.arange(_ALONG) + 0.5) / _ALONG
     places = ends[:, :1] + share[:, None] * (ends[:, 1:] - ends[:, :1])
-    places += _WITHIN * (mesh.xyz[nodes.beside[tuple(sides.T)]] - ends.mean(axis=1))[:, None]
+    places += 0.15 * (mesh.xyz[nodes.beside[tuple(sides.T)]] - ends.mean(axis=1))[:, None]
     return _sampled(rgb, view.project(places.reshape(-1, 3))[0]).reshape(-1, _ALONG, 3).mean(axis=1)
 
 
@@ -305,9 +299,6 @@ def bare_blocks(rgb: np.ndarray) -> np.ndarray:
     return np.clip(np.rint(np.pad(inner, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="edge")), 0, 255).astype(np.uint8)
 
 
-# --- colours made equal across seams ----------------------------------------------------------------------------------
-
-
 def levelled(nodes: Nodes, edges: np.ndarray, tuning: TextureTuning) -> np.ndarray:
     """(N, 3) what is added to the colours of nodes, by the colours (S, 2, 3) that both patches of each seam have along
     it."""
@@ -318,10 +309,11 @@ def levelled(nodes: Nodes, edges: np.ndarray, tuning: TextureTuning) -> np.ndarr
     inside = np.unique(np.sort(corner[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     across = _rows(nodes.seam, np.array([0.5, 0.5, -0.5, -0.5]), count)
     along = _rows(inside, np.sqrt(tuning.smooth) * np.array([1.0, -1.0]), count)
-    system = (across.T @ across + along.T @ along + _HELD * identity(count)).tocsr()
+    # 1e-4: colours stay where no border tells
+    system = (across.T @ across + along.T @ along + 1e-4 * identity(count)).tocsr()
     wanted = across.T @ (edges[:, 1] - edges[:, 0])
     inverse = diags(1 / system.diagonal())
-    solved = [cg(system, wanted[:, c], rtol=_CLOSE, maxiter=_MOST_ROUNDS, M=inverse)[0] for c in range(3)]
+    solved = [cg(system, wanted[:, c], rtol=1e-4, maxiter=1000, M=inverse)[0] for c in range(3)]
     return np.stack(solved, axis=1)
 
 

@@ -1,8 +1,6 @@
 """Which image each face has its colour from.
 
-What an image sees of the mesh: the mesh is drawn into it as a buffer of depths, and the image's own depth map stands
-before it what the mesh does not have. An image that sees a face whole counts by the pixels that it has on it and by its
-angle. Neighbours then agree on few images: a Potts field over the faces, solved by its mean field.
+Neighbours agree on few images by a Potts field over the faces, solved by its mean field.
 """
 
 from collections.abc import Iterator
@@ -17,7 +15,7 @@ from tiegraph.geometry.stereo import Pinhole
 from tiegraph.mesh.surface import Mesh, hanging, pieces
 from tiegraph.mesh.tuning import ViewTuning
 from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
-from tiegraph.scene.sorting import Arrays
+from tiegraph.scene.sorting import Arrays, spread
 
 UNSEEN = -1
 _STEEPEST = 5.0  # tangent of the angle at which a face is seen, for how far its depth may be off
@@ -112,9 +110,6 @@ def _share_around(at: np.ndarray, confirmed: np.ndarray, size: tuple[int, int]) 
     return np.asarray(smooth[tuple(np.clip(at[:, a].astype(int), 0, size[a] - 1) for a in (1, 0))])
 
 
-# --- choice -----------------------------------------------------------------------------------------------------------
-
-
 def chosen(seen: list[Seen], mesh: Mesh, tuning: ViewTuning) -> np.ndarray:
     """(F,) number of the image that each face has its colour from, UNSEEN = none sees it."""
     table = _best(seen, len(mesh.corners))
@@ -191,9 +186,6 @@ def without_bubbles(mesh: Mesh, label: np.ndarray) -> np.ndarray:
     return ~hanging(mesh, label == UNSEEN)
 
 
-# --- triangles drawn into a raster ------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Fragments:
     """Pixels of triangles: triangle (N,), row (N,), column (N,), and the weights (N, 3) of the triangle's corners at
@@ -211,34 +203,25 @@ def fragments(xy: np.ndarray, shape: tuple[int, int], slack: float = 0.0) -> Ite
     a middle may lie."""
     low = np.clip(np.ceil(xy.min(axis=1) - 0.5 - slack), 0, None).astype(np.int64)
     high = np.floor(xy.max(axis=1) - 0.5 + slack).astype(np.int64)
-    high = np.minimum(high, np.array(shape[::-1]) - 1)
-    size = np.maximum(high - low + 1, 0)
+    size = np.maximum(np.minimum(high, np.array(shape[::-1]) - 1) - low + 1, 0)
     count = size[:, 0] * size[:, 1]
     ends = np.cumsum(count)
     start = 0
     while start < len(xy):
         done = ends[start - 1] if start else 0
         stop = max(int(np.searchsorted(ends, done + _PIXELS, "right")), start + 1)
-        found = _of(xy, slice(start, stop), low, size, slack)
-        if len(found.triangle):
-            yield found
+        triangle = np.repeat(np.arange(start, stop), count[start:stop])
+        down, right = np.divmod(spread(np.zeros(stop - start, int), count[start:stop]), size[triangle, 0])
+        column, row = low[triangle, 0] + right, low[triangle, 1] + down
+        a, b, c = (xy[start:stop, k] for k in range(3))
+        own = triangle - start
+        with np.errstate(divide="ignore", invalid="ignore"):  # a triangle without an area has none
+            area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+            dx, dy = column + 0.5 - a[own, 0], row + 0.5 - a[own, 1]
+            second = (dx * (c[:, 1] - a[:, 1])[own] - dy * (c[:, 0] - a[:, 0])[own]) / area[own]
+            third = (dy * (b[:, 0] - a[:, 0])[own] - dx * (b[:, 1] - a[:, 1])[own]) / area[own]
+        weight = np.stack([1 - second - third, second, third], axis=1)  # barycentric
+        inside = (weight >= -slack).all(axis=1)
+        if inside.any():
+            yield Fragments(triangle[inside], row=row[inside], column=column[inside], weight=weight[inside])
         start = stop
-
-
-def _of(xy: np.ndarray, part: slice, low: np.ndarray, size: np.ndarray, slack: float) -> Fragments:
-    """The pixels of some of the triangles."""
-    wide = size[part, 0]
-    count = wide * size[part, 1]
-    triangle = np.repeat(np.arange(len(count)), count)
-    k = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
-    down, right = np.divmod(k, wide[triangle])
-    column, row = low[part, 0][triangle] + right, low[part, 1][triangle] + down
-    a, b, c = xy[part, 0], xy[part, 1], xy[part, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle without an area has none
-        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        dx, dy = column + 0.5 - a[triangle, 0], row + 0.5 - a[triangle, 1]
-        second = (dx * (c[:, 1] - a[:, 1])[triangle] - dy * (c[:, 0] - a[:, 0])[triangle]) / area[triangle]
-        third = (dy * (b[:, 0] - a[:, 0])[triangle] - dx * (b[:, 1] - a[:, 1])[triangle]) / area[triangle]
-    weight = np.stack([1 - second - third, second, third], axis=1)  # barycentric
-    inside = (weight >= -slack).all(axis=1)
-    return Fragments(part.start + triangle[inside], row=row[inside], column=column[inside], weight=weight[inside])

@@ -16,7 +16,6 @@ from tiegraph.scene.sorting import Columns
 
 FAR_BASELINES = 20.0
 """Distance, in baselines, at which cameras of a rig see about the same."""
-_GRID = 12  # places along each side of an image at which the common view of two cameras is looked at
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Cameras:
     def _common(self, a: int, b: int) -> float:
         """Share of a grid of pixels of camera a, far away, that b sees."""
         model = self.models[a]
-        x, y = np.meshgrid(np.linspace(0, model.width - 1, _GRID), np.linspace(0, model.height - 1, _GRID))
+        x, y = np.meshgrid(np.linspace(0, model.width - 1, 12), np.linspace(0, model.height - 1, 12))
         rays = self.rays(np.full(x.size, a), np.column_stack([x.ravel(), y.ravel()]))
         centres = self.rig_from_sensor[[a, b], :3, 3]
         far = FAR_BASELINES * np.linalg.norm(centres[0] - centres[1])
@@ -147,9 +146,6 @@ Images = Mapping[int, np.ndarray]
 """Camera -> its grey image (H, W) u1; a camera whose image is missing is not there."""
 
 
-# --- corners ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Tracks(Columns):
     """K corners in one frame: point (K,) its number in the map, camera (K,), xy (K, 2) pixels."""
@@ -165,8 +161,7 @@ class Tracks(Columns):
 
     def plus(self, other: "Tracks") -> "Tracks":
         """These and others."""
-        both = zip((self.point, self.camera, self.xy), (other.point, other.camera, other.xy))
-        return Tracks(*(np.concatenate(pair) for pair in both))
+        return Tracks.concatenate([self, other])
 
 
 def followed(before: np.ndarray, after: np.ndarray, xy: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

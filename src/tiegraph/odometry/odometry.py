@@ -71,8 +71,6 @@ class Odometry:
         else:
             self._continue(frame, images, masks)
 
-    # --- a segment begins -------------------------------------------------------------------------------------------
-
     def _begin(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         """Begin with this frame: at once if the cameras see enough together, else wait for the next ones."""
         tracks = self._filled(images, Tracks.none(), masks)
@@ -142,8 +140,6 @@ class Odometry:
             self._hang(at.frame, number, at.rig_from_world, at.seen)
         self._before, self._lost, self._waiting = _Before(images, tracks, pose), 0, []
 
-    # --- a segment goes on ------------------------------------------------------------------------------------------
-
     def _continue(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         assert self._before is not None and self._before.pose is not None
         guess = self._velocity @ self._before.pose
@@ -194,8 +190,6 @@ class Odometry:
         self._before = _Before(images, tracks.where(~bad), pose)
         self._hang(frame, number, pose, tracks.where(placed & ~bad))
         self._look_back(images, number)
-
-    # --- losses, joints, loops --------------------------------------------------------------------------------------
 
     def _recover(self, frame: int, images: Images, masks: Mapping[int, np.ndarray]) -> None:
         """A frame that could not be followed: by what the last keyframes saw, else by any; else it is lost."""
@@ -275,8 +269,6 @@ class Odometry:
             held = numbers[: 1 if self.metric else 2]
             for loss in (30.0, 3.0, 1.0):  # a loop stands off by the drift at first
                 adjust(self.world, numbers, held, self._tuning.map, loss, _LONG)
-
-    # --- parts ------------------------------------------------------------------------------------------------------
 
     def _placed(self, tracks: Tracks) -> np.ndarray:
         return np.asarray(~np.isnan(self.world.xyz[tracks.point, 0]))

@@ -68,11 +68,8 @@ class Recall:
         if not numbers or len(corners) < self._tuning.least_points:
             return None
         described = [self._describe(images, corners, scale) for scale in (0.71, 1.0, 1.41)]  # it may stand nearer
-        for number in numbers:
-            found = self._by(number, corners, described)
-            if found is not None:
-                return found
-        return None
+        found = (self._by(number, corners, described) for number in numbers)
+        return next((recalled for recalled in found if recalled is not None), None)
 
     def _by(self, number: int, corners: Tracks, described: Sequence[np.ndarray]) -> Recalled | None:
         seen, known = self._of(number)

@@ -130,9 +130,6 @@ def scaled(cameras: Cameras, pose: np.ndarray, after: Tracks, known: np.ndarray)
     return out
 
 
-_RIG = 1
-
-
 @dataclass(frozen=True)
 class Keyframe:
     """A frame that holds the map up: its number in the survey, segment, rig_from_world (4, 4), what it sees (a point
@@ -273,7 +270,7 @@ def _build(
     image_of: dict[tuple[int, int], int] = {}
     row = np.zeros(len(seen.point), int)
     for number in numbers:
-        frame = pycolmap.Frame(frame_id=number + 1, rig_id=_RIG)
+        frame = pycolmap.Frame(frame_id=number + 1, rig_id=1)
         frame.rig_from_world = rigid3d(world.keyframes[number].rig_from_world)
         images = []
         for camera in np.unique(seen.camera[seen.keyframe == number]).tolist():

@@ -6,9 +6,8 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -22,11 +21,7 @@ from tiegraph.scene.targets import CENTRE, Target, count_of, dictionary, familie
 from tiegraph.targets.tuning import Tuning
 from tiegraph.text import some
 
-if TYPE_CHECKING:
-    import pycolmap
-
 _NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # blind to edges and slopes (Immerkaer 1996)
-_LEAST_SIGMA_PX = 0.06  # of a corner, however sharp and noiseless, as in rendered images (tests/targets)
 
 
 @dataclass(frozen=True)
@@ -53,7 +48,8 @@ def find_targets(pixels: np.ndarray, families: Sequence[str], tuning: Tuning) ->
             free = side / 8  # the border, one bit of an AprilTag 36h11 wide; others are near
             corners = refined(pixels, xy, free, tuning.refine_share, tuning.refine_px)
             half = int(np.clip(round(tuning.refine_share * free), *tuning.refine_px))
-            sigma = float(np.hypot(np.median([_sigma(pixels, c, half, noise) for c in corners]), _LEAST_SIGMA_PX))
+            # 0.06 px: of a corner, however sharp and noiseless, as in rendered images (tests/targets)
+            sigma = float(np.hypot(np.median([_sigma(pixels, c, half, noise) for c in corners]), 0.06))
             out.append(Seen(Target(family, int(number)), corners.astype(float) + CENTRE, sigma))
     return sorted(out, key=lambda s: (s.target, *s.corners[0]))
 
@@ -114,7 +110,7 @@ class TargetMarks:
     """The marks of named targets, and what is to be said."""
 
     marks: tuple[TargetMark, ...] = ()
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    notes: tuple[str, ...] = ()
 
 
 def marks_of(
@@ -144,8 +140,9 @@ def marks_of(
         twice = [k for k, found in places.items() if apart(found)]
         if twice:
             more = f" and of {len(twice) - 1} more" if len(twice) > 1 else ""
-            text = f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
-            notes.append(text)
+            notes.append(
+                f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
+            )
             continue
         if not places:
             notes.append(f"target {name} is seen in none of {len(seen)} images")
@@ -159,17 +156,11 @@ def marks_of(
                 marks.append(
                     TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=float(best.sigma_px / np.sqrt(2)))
                 )
-    notes += _not_named(by_target)
+    # Those that the file does not name, seen in two images at least: one may be gravel
+    others = [f"{t.name} ({len(places)} images)" for t, places in sorted(by_target.items()) if len(places) > 1]
+    if others:
+        notes.append(f"targets that are seen and not named in the file: {some(others)}")
     return TargetMarks(tuple(marks), tuple(notes))
-
-
-def _not_named(by_target: Mapping[Target, Mapping[int, Sequence[Seen]]]) -> list[str]:
-    """Targets that the file does not name, seen in two images at least: one may be gravel."""
-    others = {t: len(places) for t, places in by_target.items() if len(places) > 1}
-    if not others:
-        return []
-    shown = some((f"{t.name} ({count} images)" for t, count in sorted(others.items())))
-    return [f"targets that are seen and not named in the file: {shown}"]
 
 
 def likely_family(seen: Sequence[Seen]) -> str:

@@ -20,7 +20,6 @@ from tiegraph.scene.rig import on_plane
 
 View = tuple[np.ndarray, pycolmap.Camera]
 """cam_from_world (4, 4) and camera of an image."""
-_TAILS = (0.5, 99.5)  # percentiles of heights between which the colours spread
 
 
 def cameras(names: Sequence[str], views: Sequence[View], local_from_world: np.ndarray) -> list[dict[str, Any]]:
@@ -71,14 +70,11 @@ def tinted(w: np.ndarray, shade: np.ndarray) -> np.ndarray:
     """BGRA (rows, columns, 4) u1 of heights (rows, columns) by colour with shades (rows, columns) u1; transparent where
     not known (NaN)."""
     known = np.isfinite(w)
-    low, high = np.percentile(w[known], _TAILS) if known.any() else (0.0, 1.0)
+    low, high = np.percentile(w[known], (0.5, 99.5)) if known.any() else (0.0, 1.0)
     level = np.clip((np.where(known, w, low) - low) / max(high - low, 1e-9), 0, 1)
     colour = cv2.applyColorMap(np.rint(255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
     light = np.where(shade > 0, 0.35 + 0.9 * shade / 255, 1.0)[..., None]  # as the pictures of the report
     return np.dstack([np.clip(colour * light, 0, 255), np.where(known, 255, 0)]).astype(np.uint8)
-
-
-_BEHIND = 1.02  # a place this much farther than the surface in its pixel is hidden: far above any sigma of a depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,4 +133,5 @@ def hidden(place: np.ndarray, depth: np.ndarray, K: np.ndarray, cam_from_world: 
         return None
     row, column = int(y / z), int(x / z)
     around = depth[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-    return None if not np.isfinite(around).any() else bool(z > _BEHIND * np.nanmax(around))
+    # 2 % behind the surface in its pixel: far above any sigma of a depth
+    return None if not np.isfinite(around).any() else bool(z > 1.02 * np.nanmax(around))

@@ -199,7 +199,6 @@ def near_places(first: np.ndarray, second: np.ndarray, tuning: PassesTuning) -> 
 
 
 _CELLS = 500  # along the longer side
-_INCHES, _DPI = 8.0, 110
 
 
 def difference_map(found: Differences, title: str, only_significant: bool = False) -> bytes:
@@ -207,8 +206,8 @@ def difference_map(found: Differences, title: str, only_significant: bool = Fals
     significant (``only_significant``); white: nothing compared."""
     xyz, value = found.xyz[found.known], found.distance_m[found.known]
     wide, high = np.ptp(xyz[:, :2], axis=0) if len(xyz) else (1.0, 1.0)
-    inches = (_INCHES, float(np.clip(_INCHES * high / max(wide, 1e-9), 2.0, 2 * _INCHES)) + 1.6)
-    figure = Figure(figsize=inches, dpi=_DPI, layout="constrained")
+    inches = (8.0, float(np.clip(8.0 * high / max(wide, 1e-9), 2.0, 16.0)) + 1.6)
+    figure = Figure(figsize=inches, dpi=110, layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(title, fontsize=11, loc="left")
     if len(xyz):

@@ -25,7 +25,6 @@ from tiegraph.scene.sorting import Columns
 _RADIUS_SPACINGS = 5.0  # of the thinner cloud: 20 points of a random cloud lie in a cylinder
 _DEPTH_RADII = 6.0  # how far a cylinder reaches to either side: larger differences are not found
 _CORES = 10_000  # core points looked at together: some 10 million pairs of points at most
-_OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
 
 Sigma = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (N, 3) along normals (N, 3): metres (N,)
 CONFIDENCE = 1.96  # sigmas at which 5 % of the differences of equal surfaces are called significant
@@ -206,8 +205,9 @@ def _pairs(centres: np.ndarray, tree: cKDTree, radius: float) -> tuple[np.ndarra
 
 
 def _facing(normal: np.ndarray, cores: np.ndarray, cameras: Cameras | None) -> np.ndarray:
+    """Normals turned to the nearest camera, without cameras upwards, else to the north-east."""
     if cameras is None:
-        towards = np.broadcast_to(_OBLIQUE, cores.shape)
+        towards = np.broadcast_to([0.36, 0.48, 0.8], cores.shape)
     else:
         towards = cameras.centres[cKDTree(cameras.centres).query(cores)[1]] - cores
     away = np.einsum("ij,ij->i", normal, towards) < 0

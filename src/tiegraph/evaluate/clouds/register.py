@@ -16,7 +16,6 @@ from tiegraph.geometry.coarse import Start, normals, start_of
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
-_ROUNDS, _STILL = 20, 1e-3  # with each reach at most, until no point moves by more than this share of the spacing
 _NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
 _REACHES = (40.0, 20.0, 10.0, 5.0)  # to the nearest point at most, in spacings, one after another
 # Smallest to largest eigenvalue of the equations, all unknowns in metres of motion, below which surfaces slide: noise
@@ -84,9 +83,8 @@ def register(
 
     Raises ValueError if too few points meet, or their surfaces leave a direction open (a plane slides in itself).
     """
-    fit = Similarity()
-    if start is not None:
-        fit = Similarity(1.0, start.target_from_source[:3, :3], start.target_from_source[:3, 3])
+    placed = np.eye(4) if start is None else start.target_from_source
+    fit = Similarity(1.0, placed[:3, :3], placed[:3, 3])
     tree = cKDTree(reference)
     normal = normals(reference, 20)
     spacing = float(np.median(tree.query(reference[:: max(1, len(reference) // 5000)], k=2)[0][:, 1]))
@@ -103,7 +101,7 @@ def register(
             found = met(reach)
             step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
             fit = fit.stepped(np.r_[step * unit, np.zeros(7 - unknowns)], middle)
-            if np.abs(step).max() < _STILL * spacing:
+            if np.abs(step).max() < 1e-3 * spacing:
                 break
     found = met(_REACHES[-1])
     covariance = np.zeros((7, 7))
@@ -150,7 +148,8 @@ def _equations(
     n, from_middle = normal[at[met]], xyz[met] - middle
     residual = np.einsum("ij,ij->i", n, np.asarray(tree.data)[at[met]] - xyz[met])
     sigma = robust_sigma(residual - np.median(residual)) + 1e-12
-    weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * sigma)), 0, None))
+    # Tukey's function, 95 % efficient
+    weight = np.square(np.clip(1 - np.square(residual / (4.685 * sigma)), 0, None))
     growth = np.einsum("ij,ij->i", n, from_middle)
     design = np.column_stack([np.cross(from_middle, n), n, growth])[:, : len(unit)] * unit
     cell = np.floor(from_middle * (_CELLS / np.ptp(from_middle, axis=0).max())).astype(int)
