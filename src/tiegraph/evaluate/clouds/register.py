@@ -97,7 +97,7 @@ def register(
         return _equations(fit(cloud), (tree, normal), reach * spacing, tuning, middle, unit)
 
     for reach in _REACHES:
-        for _ in range(_ROUNDS):
+        for _ in range(20):
             found = met(reach)
             step = np.linalg.solve(found.matrix.sum(axis=0), found.vector.sum(axis=0))
             fit = fit.stepped(np.r_[step * unit, np.zeros(7 - unknowns)], middle)
