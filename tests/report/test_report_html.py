@@ -248,8 +248,8 @@ def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
     before = read_run(folder).model
     tell(folder, "sparse", tuning={"scene": {"registered": {"min_points": 1000}}})
     after = read_run(folder).model
-    assert before.registered.any() and before.images.min_points == 10
-    assert not after.registered.any() and after.images.min_points == 1000
+    assert before.images.registered.any() and before.images.min_points == 10
+    assert not after.images.registered.any() and after.images.min_points == 1000
     tell(folder, "sparse", tuning={"scene": {"of another version": 1}})
     again = read_run(folder).model
     assert again.images.min_points == 10

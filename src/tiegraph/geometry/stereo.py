@@ -17,6 +17,8 @@ MAX_OFF_AXIS_DEG = 65.0
 _TANGENT = float(np.tan(np.radians(MAX_OFF_AXIS_DEG)))
 _GRID = 33  # samples a side that stand for an image when windows and ranges are sought
 _MIN_AXIS_SINE = 0.2  # sine between the mean optical axis and the baseline: below 12 degrees the roll is arbitrary
+_RANGE_STEPS = 32  # depths tried between near and far when the part common to both images is sought
+_MAX_SHIFT = 0.85  # disparity / focal length: rays that meet at more than 40 degrees show too different a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +129,8 @@ def rectify(
     seen = _common(_grid_rays(reference, from_reference), _grid_rays(partner, from_partner), baseline, depth_range)
     if seen is None:
         return None
-    low, high, ratio, shift = seen
-    focal = float(np.sqrt(reference.K[0, 0] * reference.K[1, 1] * np.median(ratio**3)))
+    low, high, shift = seen.low, seen.high, seen.shift
+    focal = float(np.sqrt(reference.K[0, 0] * reference.K[1, 1] * np.median(seen.ratio**3)))
     focal = min(focal, float(np.sqrt(max_pixels / max(np.prod(high - low), 1e-12))))
     focal = min(focal, (max_disparities - 3) / max(shift[1] - shift[0], 1e-12))
     size = np.ceil(focal * (high - low)).astype(int)
@@ -158,21 +160,29 @@ def _grid_rays(camera: Pinhole, rect_from_cam: np.ndarray) -> np.ndarray:
     return rays[usable_rays(rays)]
 
 
+@dataclass(frozen=True)
+class _Common:
+    """The part of the reference's grid rays that the partner can see: its corners (2,) on the plane z = 1, the depth
+    ratios (n,), and the extremes of the disparity in units of the focal length."""
+
+    low: np.ndarray
+    high: np.ndarray
+    ratio: np.ndarray
+    shift: tuple[float, float]
+
+
 def _common(
     rays: np.ndarray, partner_rays: np.ndarray, baseline: float, depth_range: tuple[float, float]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]] | None:
-    """The part of the reference's grid rays that the partner can see within the depths: its corners (2,) on the plane
-    z = 1, the depth ratios (n,), and the extremes of the disparity in units of the focal length; None for next to
-    nothing."""
+) -> _Common | None:
+    """What both images see within the depths; None for next to nothing."""
     if len(rays) == 0 or len(partner_rays) == 0:
         return None
     xy, partner_xy = rays[:, :2] / rays[:, 2:], partner_rays[:, :2] / partner_rays[:, 2:]
     low, high = partner_xy.min(axis=0), partner_xy.max(axis=0)
-    inverse = np.linspace(1 / depth_range[1], 1 / depth_range[0], 32)
+    inverse = np.linspace(1 / depth_range[1], 1 / depth_range[0], _RANGE_STEPS)
     shift = baseline * inverse / rays[:, 2:]  # (n, steps)
     at = xy[:, :1] - shift
-    # Rays that meet at more than 40 degrees show too different a picture
-    inside = (at >= low[0]) & (at <= high[0]) & ((xy[:, 1:] >= low[1]) & (xy[:, 1:] <= high[1])) & (shift <= 0.85)
+    inside = (at >= low[0]) & (at <= high[0]) & ((xy[:, 1:] >= low[1]) & (xy[:, 1:] <= high[1])) & (shift <= _MAX_SHIFT)
     kept = inside.any(axis=1)
     if np.count_nonzero(kept) < 4:
         return None
@@ -182,4 +192,4 @@ def _common(
     cell = (xy.max(axis=0) - xy.min(axis=0)) / (_GRID - 1)  # the true border lies within one cell of the kept samples
     low = np.maximum(xy[kept].min(axis=0) - cell, xy.min(axis=0))
     high = np.minimum(xy[kept].max(axis=0) + cell, xy.max(axis=0))
-    return low, high, rays[kept, 2], (least, most)
+    return _Common(low=low, high=high, ratio=rays[kept, 2], shift=(least, most))
