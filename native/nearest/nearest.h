@@ -1,7 +1,7 @@
 // The nearest descriptors of two images, both ways, in one pass over all their dot products.
 //
-// Descriptors are rounded to seven bits and one length first. A dot product then fits in 16 bits without a sign, twice
-// as many in a register as of bytes; the matches are as many and as often right.
+// Descriptors are first rounded to seven bits and one length. A dot product then fits in 16 bits without a sign, so that
+// a register holds twice as many of them; the matches are as many and as often right.
 #pragma once
 #include <cstddef>
 #include <cstdint>

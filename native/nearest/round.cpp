@@ -8,8 +8,8 @@ namespace nearest {
 
 namespace {
 
-// Sums are rounded, not numbers: errors of neighbours cancel, where numbers rounded one by one would all fall by a half
-// or none. Returns the squared length.
+// The running sum along a descriptor is rounded, not each number: the errors of neighbours cancel, whereas of numbers
+// that are rounded one by one every odd one would lose a half. Returns the squared length.
 i32 round_sums(const u8* from, std::int64_t scale, u8* to) {
   std::int64_t sum = 1 << 15, before = 0;
   i32 norm2 = 0;
@@ -30,10 +30,12 @@ Descriptors::Descriptors(const u8* bytes, int count) : count(count), data(static
     const u8* from = bytes + c * LENGTH;
     i32 norm2 = 0;
     for (int k = 0; k < LENGTH; ++k) norm2 += from[k] * from[k];
-    double length = NORM;
-    while (norm2 > 0 && round_sums(from, static_cast<std::int64_t>(length * 65536 / std::sqrt(norm2)), &data[c * LENGTH]) > MOST_NORM2) {
-      length -= 1;
-    }
+    if (norm2 == 0) continue;
+    const auto too_long = [&](double length) {
+      const auto scale = static_cast<std::int64_t>(length * 65536 / std::sqrt(norm2));
+      return round_sums(from, scale, &data[c * LENGTH]) > MOST_NORM2;
+    };
+    for (double length = NORM; too_long(length);) length -= 1;
   }
 }
 

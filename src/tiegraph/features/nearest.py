@@ -1,9 +1,9 @@
 """Mutual nearest neighbours of descriptors, as COLMAP's brute-force matcher finds them.
 
 The search is native (sources in native/nearest), in whole numbers, one pass over all dot products for both directions.
-Descriptors are first rounded to seven bits and one length: half the time, and as many and as true matches as of eight
-(benchmarks/README.md, *Matching*). COLMAP's own default, an approximate index, takes twenty times as long and loses
-some matches in a hundred. Without the native module NumPy finds the same.
+Descriptors are first rounded to seven bits and one length, which halves the time and gives as many matches, as often
+right. COLMAP's own default, an approximate index, takes two to six times as long, verification included, and loses some
+matches in a hundred (benchmarks/README.md, *Matching*). Without the native module NumPy finds the same.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def search(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def rounded(descriptors: np.ndarray) -> np.ndarray:
     """Descriptors (K, 128) u1 with the length NORM and numbers of seven bits: (K, 128) u1.
 
-    Sums are rounded, not numbers: errors of neighbours cancel, where numbers rounded one by one would all fall by a
-    half or none.
+    The running sum along a descriptor is rounded, not each number: the errors of neighbours cancel, whereas of numbers
+    that are rounded one by one every odd one would lose a half.
     """
     length, sums = np.full(len(descriptors), NORM), np.cumsum(descriptors, axis=1, dtype=np.int64)
     norm = np.sqrt(np.maximum(np.square(descriptors, dtype=np.int64).sum(axis=1), 1))
