@@ -2,8 +2,8 @@
 
 Each survey with truth is made worse image by image, at three severities a condition, and run by tiegraph and by COLMAP
 (every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md. ``--ablation``
-prints the rows of constants of the equalisation (``--methods "limit 2" ...``). ``--contrast
-FOLDER ...`` prints how much contrast the images below a folder show: the least, a tenth of them, the median, the most.
+prints what the constants of the equalisation do (runs of ``--methods "limit 2" ...``). ``--contrast FOLDER ...`` prints
+how much contrast the images below a folder show: the least, a tenth of them, the median, the most.
 
 * ``contrast``: the local contrast that a tenth of an image shows is scaled to so many grey levels (the sea floor of
   ``benchmarks/real`` shows 3 to 7), with shot noise and read noise of 0.7 grey levels, and a veil of 40.
