@@ -17,6 +17,7 @@ from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.finish import FinishResult, finish_model
+from tiegraph.sfm.focal import with_focal_lengths
 from tiegraph.sfm.mapping import (
     RUN_COLUMNS,
     SCRATCH,
@@ -109,10 +110,13 @@ def reconstruct(
     models are adjusted and checked. The database is read, never changed. Raises ReconstructionError, with the counts
     and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
     """
-    modes = rig_modes(scene, settings.rig)
+    modes, account = rig_modes(scene, settings.rig), Account()
+    graph = _view_graph(source, scene, settings, tuning.mapping)
+    if source.preview is None:  # else the rough model has determined them
+        scene, account.notes = with_focal_lengths(scene, source.database, source.refused, tuning.focal)
     job = Job(
         modes={k: mode for k, mode in modes.items() if mode != "derived"},
-        graph=_view_graph(source, scene, settings, tuning.mapping),
+        graph=graph,
         source=source,
         out=out,
         scene=scene,
@@ -120,7 +124,7 @@ def reconstruct(
         tuning=tuning,
         shared=shared,
         log=log,
-        account=Account(),
+        account=account,
     )
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):  # models of an earlier run

@@ -38,6 +38,27 @@ class MappingTuning(Section):
     deg (medians)."""
 
 
+class FocalTuning(Section):
+    """Focal lengths of unknown cameras (`focal.py`)."""
+
+    pairs: int = Field(100, gt=0)
+    """Pairs of images that are used, those with most matches."""
+    least_matches: int = Field(30, ge=8)
+    """Matches of such a pair."""
+    least_pairs: int = Field(8, gt=0)
+    """Pairs that tell a focal length, at least."""
+    error: float = Field(0.003, gt=0)
+    """Distance of a match from its epipolar line, in longer sides of the image."""
+    flat: float = Field(0.8, gt=0, le=1)
+    """Share of the matches that one plane explains, from which a pair tells nothing (COLMAP's max_H_inlier_ratio)."""
+    cap: float = Field(0.02, gt=0)
+    """Largest cost of a pair. If no focal length has it, the pair tells nothing: the worst costs 0.002 in pairs of
+    vehicles that drive straight on (KITTI, PandaSet), 0.04 on canals, 0.2 on facades."""
+    sure: float = Field(1.6, gt=1)
+    """Ratio of the 90th to the 10th percentile of the bootstrap above which the guess stays: 1.0 to 1.4 where the
+    focal length is right, 3.3 over the flat beach of brighton."""
+
+
 class LensTuning(Section):
     """Prior sigmas of lens parameters (`lens.py`)."""
 
@@ -239,5 +260,7 @@ class Tuning(Section):
     """Test of the rig against the images."""
     world: WorldTuning = Field(default_factory=WorldTuning)
     """Georeferencing."""
+    focal: FocalTuning = Field(default_factory=FocalTuning)
+    """Focal lengths of unknown cameras."""
     start_check: StartCheckTuning = Field(default_factory=StartCheckTuning)
     """Test of a start model against the images."""
