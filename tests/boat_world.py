@@ -49,6 +49,7 @@ class World:
     seed: int = 0
     asked: int = 0
     pairs_asked: set | None = None
+    alike: World | None = None  # the second pass elsewhere, where it would see walls that look like those it sees
 
     def overlap(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) share of 24 rays of image i whose wall point image j sees well."""
@@ -116,6 +117,8 @@ class World:
             self.pairs_asked.update(map(tuple, pairs.tolist()))
         i, j = pairs[:, 0], pairs[:, 1]
         share = np.maximum(self.overlap(i, j), self.overlap(j, i))
+        if self.alike is not None:
+            share = np.maximum(share, 0.7 * np.maximum(self.alike.overlap(i, j), self.alike.overlap(j, i)))
         noise = np.random.default_rng(self.seed + int(np.sum(pairs[:, 0]) % 1000)).poisson(1.5, len(pairs))
         counts = np.round(CHANCE - 1 + noise + 60 * share).astype(int)
         relative = transforms.invert(self.world_from_sensor[j]) @ self.world_from_sensor[i]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from tiegraph.geometry import transforms
 from tiegraph.network.candidates import Candidates, find_candidates
 from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
@@ -90,7 +92,8 @@ def estimate_network(
     coarse = Coarse(found.pairs, found.scene, None, np.zeros(len(scene), bool))
     both = settings, CoarseSettings()
     if make is not None and worth_a_model(*both):
-        search = Search((found.pairs, found.scene), book, both, tuning.coarse)
+        explains = partial(agrees, match.__self__)  # type: ignore[attr-defined]
+        search = Search((found.pairs, found.scene), book, both, tuning.coarse, explains)
         mapper = Mapper(found.scene, tuning, make)
         while (wanted := search.wanted()) is not None:
             search.take(wanted, mapper(wanted))
@@ -104,6 +107,17 @@ def network_of(scene: Scene, match: Callable, settings: CandidatesSettings | Non
     """The stages with everything else as it is by default, and even light."""
     light = more.pop("light", np.full(len(scene), 120.0))
     return estimate_network(scene, light, match, settings or CandidatesSettings(), Tuning(), **more)
+
+
+def agrees(world: object, model: CoarseModel, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(K,) bool: pairs that share surface in the world and are in the model as they are there, to a metre and a
+    degree; of the others, which tie similar walls, those that share surface in the model."""
+    true = transforms.invert(world.world_from_sensor)  # type: ignore[attr-defined]
+    off = [p[j] @ transforms.invert(p[i]) for p in (model.cam_from_world, true)]
+    near = np.linalg.norm(off[0][:, :3, 3] - off[1][:, :3, 3], axis=1) < 1
+    near &= transforms.angle_deg(off[0][:, :3, :3], off[1][:, :3, :3]) < 1
+    shares = np.maximum(world.overlap(i, j), world.overlap(j, i)) > 0.05  # type: ignore[attr-defined]
+    return np.where(shares, near, model.overlap(180.0, TUNING.coarse).between(i, j) >= SETTINGS.min_overlap)
 
 
 class Mapper:

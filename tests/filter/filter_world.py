@@ -17,6 +17,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.tuning import CourseTuning
 
 MAX_IMAGES = 2147483647
 NOISE_PX = 0.5
@@ -45,7 +46,9 @@ class World:
         self.write(database)
         ends = np.array(sorted(self.matches))
         pairs = Pairs.make(ends[:, 0], ends[:, 1], "sequence")
-        result = filter_pairs(database, scene or self.scene, pairs, FilterSettings(**settings), Tuning(), serial, prior)
+        result = filter_pairs(
+            database, scene or self.scene, pairs, FilterSettings(**settings), (Tuning(), CourseTuning()), serial, prior
+        )
         return result, np.array([(int(i), int(j)) in self.false for i, j in zip(pairs.i, pairs.j)])
 
     def write(self, path: Path) -> None:

@@ -13,13 +13,15 @@ from filter_world import rig as ring_of
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.filter.filter import Prior, filter_pairs, held_by_rig, off_course_deg
+from tiegraph.filter.filter import Prior, filter_pairs, held_by_rig
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmaprows import create_database
+from tiegraph.scene.course import off_course_deg
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import simple_scene
+from tiegraph.scene.tuning import CourseTuning
 from tiegraph.sfm.run import write_working_copy
 from tiegraph.sfm.verified import ViewGraph
 
@@ -78,7 +80,9 @@ def test_off_keeps_all_and_a_missing_database_is_named(repeated, tmp_path):
     assert np.all(result.pairs.dropped == 0)
     pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
     with pytest.raises(InputError, match="nowhere.db"):
-        filter_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), Tuning(), serial)
+        filter_pairs(
+            tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), (Tuning(), CourseTuning()), serial
+        )
 
 
 @pytest.mark.slow
@@ -106,7 +110,7 @@ def test_refused_pairs_are_left_out(tmp_path):
     assert len(ViewGraph(source, scene, 15).pairs) == 3
 
 
-TUNING = PriorTuning()
+TUNING, COURSE = PriorTuning(), CourseTuning()
 
 
 def two_views(shift_m: float = 0.0, base_m: float = 12.0) -> tuple[np.ndarray, ...]:
@@ -125,16 +129,16 @@ REACH = np.array([6.0, 16.0])
 
 def test_true_matches_are_on_course_and_a_rough_pose_is_forgiven() -> None:
     a, b, pose = two_views()
-    assert off_course_deg(a, b, pose, REACH, TUNING).max() < 0.2
-    assert off_course_deg(a, -b, pose, REACH, TUNING).min() > 90, "points behind"
+    assert off_course_deg(a, b, pose, (REACH, REACH), COURSE).max() < 0.2
+    assert off_course_deg(a, -b, pose, (REACH, REACH), COURSE).min() > 90, "points behind"
     rough = transforms.rigid(Rotation.from_euler("xyz", (0.3, 0.3, 0.3), degrees=True).as_matrix(), np.full(3, 0.05))
-    assert np.mean(off_course_deg(a, b, rough @ pose, REACH, TUNING) <= TUNING.tolerance_deg) > 0.9
+    assert np.mean(off_course_deg(a, b, rough @ pose, (REACH, REACH), COURSE) <= COURSE.tolerance_deg) > 0.9
 
 
 @pytest.mark.parametrize("shift_m", [12.0, 15.0])
 def test_a_repeated_wall_is_off_course_though_on_its_epipolar_line(shift_m: float) -> None:
     a, b, pose = two_views(shift_m)
-    assert np.mean(off_course_deg(a, b, pose, REACH, TUNING) <= TUNING.tolerance_deg) < 0.1
+    assert np.mean(off_course_deg(a, b, pose, (REACH, REACH), COURSE) <= COURSE.tolerance_deg) < 0.1
     # With no limits of distance the same matches lie on their epipolar lines.
     t = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     plane = np.cross(t, a @ pose[:3, :3].T)
@@ -185,11 +189,11 @@ def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
     scene, _ = rig_poses([])
     ahead, blind, *_, back = np.flatnonzero(scene.sensor == 2).tolist()
     scene, prior = rig_poses([blind])
-    wide = held_by_rig(prior, scene, TUNING)
+    wide = held_by_rig(prior, scene, TUNING, COURSE)
     assert wide.known().all() and not prior.known()[blind]
-    assert wide.reach[blind].tolist() == [4.0 / TUNING.any_distance, 20.0 * TUNING.any_distance]
+    assert wide.reach[blind].tolist() == [4.0 / COURSE.any_distance, 20.0 * COURSE.any_distance]
     assert np.flatnonzero(wide.mount_deg).tolist() == [blind]
-    other, own = int(np.flatnonzero(scene.sensor == 0)[0]), TUNING.tolerance_deg
+    other, own = int(np.flatnonzero(scene.sensor == 0)[0]), COURSE.tolerance_deg
     for ends, same, mounts in (
         ((blind, ahead), True, 0), ((back, blind), True, 2), ((blind, other), False, 1), ((ahead, other), False, 0)
     ):  # fmt: skip
@@ -200,10 +204,10 @@ def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
 @pytest.mark.slow
 def test_images_without_points_are_not_judged_if_their_sensor_or_frame_is_not_held() -> None:
     scene, whole = rig_poses([])
-    assert held_by_rig(whole, scene, TUNING) is whole
+    assert held_by_rig(whole, scene, TUNING, COURSE) is whole
     third, frame = np.flatnonzero(scene.sensor == 2), np.flatnonzero(scene.frame == 1)
     for blind in (third[:3], frame):
         scene, prior = rig_poses(blind.tolist())
-        assert not held_by_rig(prior, scene, TUNING).known()[blind].any()
+        assert not held_by_rig(prior, scene, TUNING, COURSE).known()[blind].any()
     scene, none = rig_poses(list(range(len(scene))))
-    assert not held_by_rig(none, scene, TUNING).known().any()
+    assert not held_by_rig(none, scene, TUNING, COURSE).known().any()

@@ -13,9 +13,11 @@ from tiegraph.filter.loops import Map, Matches, by_loops, forget
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms
+from tiegraph.scene.course import any_reach, off_course_deg
 from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import CourseTuning
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Prior:
         return np.all(np.isfinite(self.cam_from_world), axis=(1, 2)) & np.all(np.isfinite(self.reach), axis=1)
 
 
-def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:
+def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning, course: CourseTuning) -> Prior:
     """The prior with any distance as the reach of images that see too few points for theirs, but whose pose is
     known: by the others of their frame, if most images of their sensor see points.
 
@@ -57,39 +59,20 @@ def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:
     seeing, of = (np.bincount(scene.sensor_key[m], minlength=sensors) for m in (known, placed))
     told = (seeing >= tuning.min_seeing * of)[scene.sensor_key]
     held = placed & ~known & beside & told
-    nearest, farthest = prior.reach[known, 0].min(), prior.reach[known, 1].max()
-    reach = np.where(held[:, None], (nearest / tuning.any_distance, farthest * tuning.any_distance), prior.reach)
+    reach = np.where(held[:, None], any_reach(prior.reach[known], course), prior.reach)
     return replace(prior, reach=reach, mount_deg=np.where(held, tuning.mount_deg, 0.0))
 
 
-def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: PriorTuning) -> float:
+def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: CourseTuning) -> float:
     """Share of the verified matches of an image pair that a surface within reach explains; NaN without any."""
     i, j = pair
     a, b = matches.rays(i, j)
     if not len(a):
         return float("nan")
     j_from_i = prior.cam_from_world[j] @ transforms.invert(prior.cam_from_world[i])
-    off = off_course_deg(a, b, j_from_i, prior.reach[i], tuning)
-    back = off_course_deg(b, a, transforms.invert(j_from_i), prior.reach[j], tuning)
+    off = off_course_deg(a, b, j_from_i, (prior.reach[i], prior.reach[j]), tuning)
     same = bool(matches.sensor[i] == matches.sensor[j])
-    return float(np.mean(np.maximum(off, back) <= prior.tolerance_deg(i, j, same, tuning.tolerance_deg)))
-
-
-def off_course_deg(
-    a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: np.ndarray, tuning: PriorTuning
-) -> np.ndarray:
-    """(M,) least angle in degrees between rays b (M, 3) and where the points on rays a (M, 3), at all distances within
-    ``reach`` (2,) times ``margin``, would be seen."""
-    near, far = reach[0] / tuning.margin, reach[1] * tuning.margin
-    distance = np.geomspace(near, far, tuning.steps)
-    course = distance[:, None, None] * (a @ b_from_a[:3, :3].T) + b_from_a[:3, 3]  # (steps, M, 3)
-    course /= np.maximum(np.linalg.norm(course, axis=2, keepdims=True), 1e-12)
-    along = np.diff(course, axis=0)
-    share = np.sum((b - course[:-1]) * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-18)
-    nearest = course[:-1] + np.clip(share, 0, 1)[..., None] * along
-    nearest /= np.linalg.norm(nearest, axis=2, keepdims=True)
-    cosine = np.max(np.sum(nearest * b, axis=2), axis=0)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return float(np.mean(off <= prior.tolerance_deg(i, j, same, tuning.tolerance_deg)))
 
 
 @dataclass(frozen=True)
@@ -109,7 +92,7 @@ def filter_pairs(
     scene: Scene,
     pairs: Pairs,
     settings: FilterSettings,
-    tuning: Tuning,
+    tunings: tuple[Tuning, CourseTuning],
     run_map: Map,
     prior: Prior | None = None,
 ) -> Filtering:
@@ -118,7 +101,7 @@ def filter_pairs(
     Pairs of images that both are in the ``prior``, a rough model, are judged by it; all others by loops.
     ``run_map(function, items, *args)`` runs items anywhere. Raises InputError for a missing database or camera.
     """
-    kept = pairs.kept()
+    kept, (tuning, course) = pairs.kept(), tunings
     if settings.method == "off" or not len(kept):
         counts = {"pairs": len(kept), "kept": len(kept), "refused": 0}
         return Filtering(pairs, np.zeros(len(pairs), bool), counts, notes=("no pair was tested",), tables={})
@@ -126,7 +109,7 @@ def filter_pairs(
     matches = Matches.of(database, scene, tuning.matches_a_pair)
     asked, refused, notes = np.zeros(len(kept), bool), np.zeros(len(kept), bool), ()
     if prior is not None:
-        asked, refused, notes = _by_prior(scene, kept, matches, prior, tuning.prior, run_map)
+        asked, refused, notes = _by_prior(scene, kept, matches, prior, (tuning.prior, course), run_map)
     others = np.flatnonzero(~asked)
     by_rotation = by_loops(scene, kept.where(others), matches, tuning.loops, run_map)
     forget()
@@ -150,21 +133,22 @@ def _in_table(pairs: Pairs, of_kept: np.ndarray) -> np.ndarray:
 
 
 def _by_prior(
-    scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tuning: PriorTuning, run_map: Map
+    scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tunings: tuple[PriorTuning, CourseTuning], run_map: Map
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Of each pair (P,) bool whether a rough model judges it, and whether it refuses it; notes.
 
     A model that contradicts many pairs is not used, and neither is the relative pose of two parts of it if it
     contradicts all pairs between them.
     """
-    prior = held_by_rig(prior, scene, tuning)
+    tuning, course = tunings
+    prior = held_by_rig(prior, scene, tuning, course)
     known = prior.known()
     asked, refused = np.zeros((2, len(pairs)), bool)
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
     if not len(rows):
         return asked, refused, ()
     ends = np.stack([pairs.i[rows], pairs.j[rows]])
-    wrong = np.array(run_map(agreement, ends.T.tolist(), matches, prior, tuning)) < tuning.min_share
+    wrong = np.array(run_map(agreement, ends.T.tolist(), matches, prior, course)) < course.min_share
     said = f"the coarse model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
     if wrong.mean() > tuning.max_refused:
         return asked, refused, (f"{said}: too few, so it is not used",)

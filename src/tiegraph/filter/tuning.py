@@ -39,24 +39,12 @@ class LoopTuning(Section):
 
 
 class PriorTuning(Section):
-    """Matches against the coarse model (`filter.py`)."""
+    """The coarse model as judge of pairs (`filter.py`)."""
 
-    steps: int = Field(24, gt=1)
-    """Distances between the nearest and the farthest at which a ray is followed."""
-    margin: float = Field(2.0, ge=1)
-    """Distances outside those of the image's model points by this factor are still possible."""
-    tolerance_deg: float = Field(1.0, gt=0)
-    """Largest deviation from the course: preview key points are good to 0.2 degrees, rotations of their model to 0.15
-    (canal)."""
-    min_share: float = Field(0.25, ge=0, le=1)
-    """Share of a pair's matches that must agree with the model. On canal (chosen there) it keeps 99.1 % of the pairs
-    most of whose matches are true and 4 of 217 of which hardly any is; on canal_demo 98.6 % and 0 of 4."""
     min_seeing: float = Field(0.5, ge=0, le=1)
     """Share of a sensor's images that see points, from which its place in the rig is the model's own."""
     mount_deg: float = Field(1.5, ge=0)
     """Possible error of a mounting without points: the up camera of canal_demo 1 to 1.5 by a wrong focal length."""
-    any_distance: float = Field(10.0, ge=1)
-    """Times nearer than the nearest point of the model, and farther than the farthest: any distance."""
     max_refused: float = Field(0.2, ge=0, le=1)
     """Share of the judged pairs: a model that contradicts more of them is wrong itself."""
     max_refused_image: float = Field(0.5, ge=0, le=1)

@@ -127,6 +127,10 @@ class MatchCache:
         matches = [self._matches.get(int(k), nothing) for k in self._keys]
         return PreviewMatches.make(self._keys // self._images, self._keys % self._images, matches)
 
+    def matches_of(self, i: int, j: int) -> np.ndarray:
+        """The matches (K, 2) of a measured pair i < j that has any."""
+        return self._matches[i * self._images + j]
+
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All measured pairs: i (K,), j (K,), inliers (K,)."""
         return self._keys // self._images, self._keys % self._images, self._counts

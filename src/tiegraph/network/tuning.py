@@ -110,8 +110,6 @@ class TrustTuning(Section):
     """Strong previews that are needed for a verdict."""
     strong: float = Field(1.6, gt=0)
     """Factor on `min_matches` from which previews between near frames are true."""
-    steep_deg: float = Field(90.0, ge=0, le=180)
-    """Angle between rays to the shared surface from which no preview is strong: such matches show a similar wall."""
     sound: float = Field(0.95, ge=0, le=1)
     """Share of a model's images that must be trusted; otherwise it is torn."""
     suspect: float = Field(0.6, ge=0, le=1)

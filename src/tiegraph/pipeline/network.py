@@ -21,7 +21,7 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import write_preview_database
 from tiegraph.network.candidates import find_candidates
 from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
-from tiegraph.network.coarse.model import CoarseModel, with_surface
+from tiegraph.network.coarse.model import CoarseModel, explained, with_surface
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.network import join_network, with_bases
 from tiegraph.network.offsets import OFFSETS, curves_csv
@@ -114,7 +114,12 @@ def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache
     settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
     if not worth_a_model(*settings):
         return Coarse(pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool))
-    search, mapper = Search(candidates, cache, settings, tuning.coarse), _Mapper(run, scene)
+
+    def explains(model: CoarseModel, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        return explained(model, (i, j), cache.matches_of, lambda k: read_preview(run.folder, scene.names[k]).xy, course)
+
+    course = run.settings.tuning.scene.course
+    search, mapper = Search(candidates, cache, settings, tuning.coarse, explains), _Mapper(run, scene)
     while (wanted := search.wanted()) is not None:
         search.take(wanted, mapper.mapped(wanted))
     return search.result()

@@ -38,10 +38,10 @@ def filter(run: Run) -> Outcome:
         return run.map(function, items, *args)
 
     scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.filter
-    tuning = run.settings.tuning.filter
+    tunings = run.settings.tuning.filter, run.settings.tuning.scene.course
     known = trusted_poses(run.folder)
     prior = None if known is None else Prior(*known)
-    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, prior)
+    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tunings, run_map, prior)
     save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided)
     return Outcome(found.counts, notes=found.notes, tables=found.tables)
 

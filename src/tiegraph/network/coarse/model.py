@@ -16,8 +16,19 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, observed_proxy
 from tiegraph.network.coarse.visible import Overlap, shared_surface, visible_points
 from tiegraph.network.tuning import CoarseTuning, TracksTuning
+from tiegraph.scene.course import any_reach, off_course_deg
 from tiegraph.scene.pairs import PreviewMatches, Visibility
-from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict, pixel_rays, rig_from_dict, rig_to_dict
+from tiegraph.scene.rig import (
+    Rig,
+    calibrated,
+    camera_from_dict,
+    camera_to_dict,
+    pixel_rays,
+    rays_or_axis,
+    rig_from_dict,
+    rig_to_dict,
+)
+from tiegraph.scene.tuning import CourseTuning
 
 
 @dataclass(frozen=True)
@@ -128,6 +139,29 @@ def with_surface(
     use &= ~np.isin(track, track[use & (off > tuning.off_deg)])
     kept, point = np.unique(track[use], return_inverse=True)
     return replace(model, points=points[kept], image=image[use], point=point)
+
+
+def explained(
+    model: CoarseModel,
+    pairs: tuple[np.ndarray, np.ndarray],
+    matches: Callable[[int, int], np.ndarray],
+    features: Callable[[int], np.ndarray],
+    tuning: CourseTuning,
+) -> np.ndarray:
+    """(P,) bool: pairs of images i, j (P,), (P,) of which enough matches (K, 2) can be of points where the model has
+    its surface. ``features``: pixels (K, 2) of an image's preview."""
+    out, rays, reach = np.zeros(len(pairs[0]), bool), dict[int, np.ndarray](), model.reach()
+    known = np.isfinite(reach).all(axis=1)
+    if not known.any():
+        return out
+    reach[~known] = any_reach(reach[known], tuning)
+    for k in np.unique(np.concatenate(pairs)).tolist():
+        rays[k] = rays_or_axis(model.cameras[k], features(k))
+    for row, (i, j) in enumerate(zip(*(ends.tolist() for ends in pairs))):
+        own, j_from_i = matches(i, j), model.cam_from_world[j] @ transforms.invert(model.cam_from_world[i])
+        off = off_course_deg(rays[i][own[:, 0]], rays[j][own[:, 1]], j_from_i, (reach[i], reach[j]), tuning)
+        out[row] = np.mean(off <= tuning.tolerance_deg) >= tuning.min_share
+    return out
 
 
 def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ the largest is trusted, and the receipt says so.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,8 @@ from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, pair_key
 from tiegraph.scene.scene import Scene
 from tiegraph.text import some
 
+Explains = Callable[[CoarseModel, np.ndarray, np.ndarray], np.ndarray]
+"""Which (K,) bool of pairs of images i, j (K,) agree with a model, by their matches (``model.explained``)."""
 NO_MODEL = "coarse model: it could not be made; pairs are chosen by the numbers of preview matches alone"
 
 
@@ -60,9 +63,10 @@ class Search:
         cache: MatchCache,
         settings: tuple[CandidatesSettings, CoarseSettings],
         tuning: CoarseTuning,
+        explains: Explains,
     ) -> None:
         self._pairs, self._scene = candidates
-        self._cache, self._tuning = cache, tuning
+        self._cache, self._tuning, self._explains = cache, tuning, explains
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
         self._left_out = np.zeros(0, np.int64)  # keys of pairs
         self._asked = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -146,7 +150,15 @@ class Search:
         for k, one in enumerate(models):
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
-        believed = trust(scene, self._cache, self._asked, overlap, part, self._settings, self._tuning.trust)
+
+        def explains(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+            right = np.zeros(len(i), bool)
+            for k, one in enumerate(models):
+                own = (part[i] == k) & (part[j] == k)
+                right[own] = self._explains(one, i[own], j[own])
+            return right
+
+        believed = trust(scene, self._cache, self._asked, explains, part, self._settings, self._tuning.trust)
         i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
         believed = replace(believed, suspects=(i, j))
         return _Try(
@@ -252,14 +264,17 @@ def trust(
     scene: Scene,
     cache: MatchCache,
     asked: tuple[np.ndarray, np.ndarray],
-    overlap: Overlap,
+    explains: Callable[[np.ndarray, np.ndarray], np.ndarray],
     part: np.ndarray,
     settings: CandidatesSettings,
     tuning: TrustTuning,
 ) -> Trust:
     """The trusted part of a model. ``part`` (N,): the component that contains an image, -1 = none. ``asked``: the
     best pairs i, j (K,) of the images, of which the model is made: they decide between two sections, because most of
-    all the previews of a long survey show similar walls, the more the longer it is.
+    all the previews of a long survey show similar walls, the more the longer it is. ``explains``: which of pairs i, j
+    (K,) the model explains, by their matches and not by the surface that both should see: where one half of a rendered
+    canal stood 18 m behind the other, most of the 250 matches between the frames at the tear were behind a camera, but
+    these frames still saw the same walls.
 
     Two sections that are torn apart cannot both fit a third: the smallest set of matches that still connects them is
     suspect. On canal a model tore at a bridge into two correct halves, because the ties across the change of light had
@@ -269,13 +284,13 @@ def trust(
     tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
     i, j, count = i[tied], j[tied], count[tied]
     strong = count >= tuning.strong * settings.min_matches
-    seen = overlap.where(~(overlap.angle_deg > tuning.steep_deg))
-    right = seen.between(i, j) >= settings.min_overlap
     sure = near_frames(scene, scene.frame[i], scene.frame[j], tuning.near_steps) & strong
+    best = strong & np.isin(pair_key(i, j), pair_key(*asked))
+    judged, right = sure | best, np.zeros(len(i), bool)
+    right[judged] = explains(i[judged], j[judged])
     stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
     n = int(stretch.max(initial=0)) + 1
     stretches = stretch[i] * n + stretch[j]
-    best = strong & np.isin(pair_key(i, j), pair_key(*asked))
     total, good = (_between_stretches(stretches[best], c[best], n) for c in (count, count * right))
     near_total, near_good = (_between_stretches(stretches[sure], c[sure], n) for c in (count, count * right))
     told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
@@ -288,7 +303,7 @@ def trust(
     return Trust(
         images=believed,
         agreement=float(right[sure].mean()) if sure.any() else float("nan"),
-        explained=float((count * right)[strong].sum() / max(count[strong].sum(), 1e-12)),
+        explained=float((count * right)[judged].sum() / max(count[judged].sum(), 1e-12)),
         suspects=(i[drawn], j[drawn]),
         sound=bool(believed.sum() >= tuning.sound * np.sum(part >= 0)),
     )
