@@ -12,12 +12,13 @@ from boat_world import HALF_WIDTH_M, World, boat
 from boat_world import found as shares
 from network_steps import network_of as steps_of
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.model import CoarseModel, with_surface
+from tiegraph.network.coarse.model import CoarseModel, explained, with_surface
 from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import TracksTuning, Tuning
 from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.tuning import CourseTuning
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()
 
@@ -283,3 +284,24 @@ def test_what_lies_behind_and_images_that_are_not_placed_make_no_points(street):
     turned = poses @ np.diag([1.0, 1, 1, 1])
     turned[2:, :3, 3] *= -1  # rays meet behind the cameras
     assert not len(with_surface(replace(model, cam_from_world=turned), ties, lambda k: pixels[k], TRACKS).points)
+
+
+def test_a_model_explains_the_matches_of_the_images_it_has_in_their_places(street):
+    _, ties, pixels, _ = street
+    model = made(street)
+
+    def agree(model: CoarseModel) -> list[bool]:
+        of = ties.i, ties.j
+        return explained(
+            model, of, lambda i, j: ties.of(int(ties.find([i], [j])[0])), lambda k: pixels[k], CourseTuning()
+        ).tolist()
+
+    assert all(agree(model))
+    # The last image 18 m back: its epipolar lines are the same, but the points are behind it or much too far away.
+    back = model.cam_from_world.copy()
+    back[4, 0, 3] += 18
+    torn = replace(model, cam_from_world=back)
+    assert agree(torn) == [j != 4 for j in ties.j.tolist()]
+    blind = replace(torn, image=torn.image[torn.image != 4], point=torn.point[torn.image != 4])  # sees no point
+    assert agree(blind) == agree(torn)
+    assert not any(agree(replace(model, image=model.image[:0], point=model.point[:0])))

@@ -1,12 +1,19 @@
 """Focal lengths of unknown cameras: found from relative poses, and left alone where these do not determine them."""
 
 from collections.abc import Iterator
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
+from sfm_worlds import make_world
 
-from tiegraph.sfm.focal import focal_length
+from tiegraph.scene.rig import Sensor
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.focal import focal_length, with_focal_lengths
 from tiegraph.sfm.tuning import FocalTuning
 
 SIZE = 480, 360
@@ -60,3 +67,37 @@ def test_views_straight_on_do_not_determine_it() -> None:
 def test_few_pairs_do_not_determine_it() -> None:
     assert focal_length(some(5), SIZE, FocalTuning()) is None
     assert focal_length([], SIZE, FocalTuning()) is None
+
+
+def with_cameras(scene: Scene, cameras: list[pycolmap.Camera]) -> Scene:
+    rig = scene.rigs[0]
+    sensors: tuple[Sensor, ...] = tuple(replace(s, camera=c) for s, c in zip(rig.sensors, cameras, strict=True))
+    return scene.with_(rigs=(replace(rig, sensors=sensors),))
+
+
+@pytest.mark.slow
+def test_only_lenses_of_unknown_focal_length_get_another(tmp_path: Path) -> None:
+    world = make_world(tmp_path / "database.db", cameras=3, frames=10)
+    true = [s.camera for s in world.scene.all_sensors]
+    wrong = [copy(c) for c in true]
+    for camera in wrong:
+        camera.focal_length = 2.5 * true[0].mean_focal_length()
+        camera.has_prior_focal_length = False
+    wrong[1].has_prior_focal_length = True  # stated, however wrong
+    found, (note,) = with_focal_lengths(
+        with_cameras(world.scene, wrong), tmp_path / "database.db", (), FocalTuning(least_matches=15)
+    )
+    lengths = [s.camera.mean_focal_length() / true[0].mean_focal_length() for s in found.all_sensors]
+    assert lengths[1] == 2.5
+    assert lengths[0] == lengths[2] == pytest.approx(1, rel=0.12)
+    assert note.startswith("the focal length of cam1, cam3 is not known") and "px" in note
+
+
+@pytest.mark.slow
+def test_known_lenses_stay_and_nothing_is_read(tmp_path: Path) -> None:
+    world = make_world(tmp_path / "database.db", frames=3)
+    (tmp_path / "database.db").unlink()
+    assert with_focal_lengths(world.scene, tmp_path / "database.db", (), FocalTuning()) == (world.scene, [])
+    fisheye = [pycolmap.Camera.create_from_model_name(1, "OPENCV_FISHEYE", 400, *SIZE) for _ in range(3)]
+    scene = with_cameras(world.scene, fisheye)
+    assert with_focal_lengths(scene, tmp_path / "database.db", (), FocalTuning()) == (scene, [])
