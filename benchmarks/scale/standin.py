@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -16,7 +17,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from benchmarks.network.canalworld import FOCAL, HEIGHT, WIDTH, CanalWorld
+from benchmarks.network.canalworld import FOCAL, HEIGHT, WIDTH, CanalWorld, Image
 from benchmarks.scale.survey import Descriptors
 from tiegraph.features.preview import PreviewMatch
 from tiegraph.geometry import transforms
@@ -58,6 +59,10 @@ def without_pixels(world: CanalWorld) -> Iterator[dict[str, Spent]]:
         with spent["previews"]:
             return world.match(np.array([pair]))[0]
 
+    def preview(_: Path, name: str) -> Image:
+        with spent["previews"]:
+            return world.images[world.scene.image_index[name]]
+
     def light_of(name: str, _: Any) -> tuple[float, float]:
         return float(world.brightness[world.scene.image_index[name]]), float("nan")
 
@@ -74,6 +79,7 @@ def without_pixels(world: CanalWorld) -> Iterator[dict[str, Spent]]:
             (previews_glue, "match_item", match_item),
             (previews_glue, "_light_of", light_of),
             (candidates_glue, "_Descriptors", lambda *_: Descriptors(world, spent["descriptors"])),
+            (coarse_glue, "read_preview", preview),
             (coarse_glue, "coarse_model", model),
             (coarse_glue, "surface_seen", surface),
         ):

@@ -45,7 +45,7 @@ def test_every_preset_is_valid_and_changes_what_it_says():
         ({"mask": {"source": "none"}}, r"unknown setting 'mask': perhaps you meant 'masks'"),
         ({"masks": {"difference": 999}}, r"masks.difference = 999.*254"),
         ({"tuning": {"filter": {"loops": {"trails": 3}}}}, r"'tuning.filter.loops.trails': perhaps you meant 'trials'"),
-        ({"tuning": {"filter": {"prior": {"margin": 0.5}}}}, r"tuning.filter.prior.margin = 0.5"),
+        ({"tuning": {"scene": {"course": {"margin": 0.5}}}}, r"tuning.scene.course.margin = 0.5"),
         ({"tuning": {"fliter": {}}}, r"'tuning.fliter': perhaps you meant 'filter'"),
     ],
 )
