@@ -37,7 +37,7 @@ from tiegraph.sfm.placement import (
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.placement import PlacementTuning
-from tiegraph.sfm.verified import MatchSource, VerifiedMatches, read_verified
+from tiegraph.sfm.verified import MatchSource, VerifiedMatches, read_verified, tears
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.oneworld import OneWorld, one_world
@@ -213,6 +213,28 @@ def test_a_frame_left_out_that_part_of_the_model_agrees_with_tells_of_a_tear(wor
     assert found.in_doubt(found.tuning.loses).doubts.keys() == {6}
     told = torn_told(found, [6])
     assert len(told) == torn and all("cam0/006.jpg" in said and "may be torn" in said for said in told)
+
+
+def _tears(model: pycolmap.Reconstruction, scene: Scene, folder: Path, doubtful: Sequence[int] = ()) -> list:
+    found = _explained(model, scene, folder)
+    return tears(found.verified, found.agreed, scene, doubtful, found.tuning)
+
+
+def test_a_model_is_torn_between_the_frames_whose_matches_it_contradicts(world, tmp_path: Path) -> None:
+    model, scene = world
+    assert _tears(model, scene, tmp_path) == []
+    _shift(model, range(7, 14), (0, 0, -40))  # the second half behind the first
+    ((before, after, agree, all_),) = _tears(model, scene, tmp_path)
+    assert (before, after) == (6, 7) and agree < 0.1 * all_ and all_ >= TUNING.consistency.min_votes
+    passes = scene.with_(sequence=np.repeat([0, 1], 7), sequences=("road", "back"))
+    assert _tears(model, passes, tmp_path) == [], "two passes may be anywhere"
+
+
+def test_a_single_frame_elsewhere_is_no_tear(world, tmp_path: Path) -> None:
+    model, scene = world
+    _shift(model, range(6, 7), (0, 0, 12))
+    assert _explained(model, scene, tmp_path).doubts.keys() == {6}
+    assert _tears(model, scene, tmp_path, [6]) == []
 
 
 def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path: Path) -> None:

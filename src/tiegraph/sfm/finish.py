@@ -51,6 +51,7 @@ from tiegraph.sfm.rig.rig import place_as_given, units_per_metre
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning import ShutterTuning, SigmaTuning, Tuning
+from tiegraph.sfm.verified import tears
 from tiegraph.text import known_to, some
 
 _NAMED = 3  # frames that a sentence names
@@ -95,14 +96,17 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
         motion = Motion(model, scene, tuning.shutter.max_gap_s)
         model = in_their_time(_as_seen(model, mapped), motion, Lateness(checked.late), scene)
         without_outliers(model, tuning.adjust)
-    steps = _matches(out, model, request)
+    steps, torn = _matches(out, model, request)
     try:
         if request.images is not None:
             model.extract_colors_for_all_images(request.images)
     except (RuntimeError, ValueError) as error:
         out.notes.append(f"the points have no colours: {error}")
     model.write(request.target)
-    _precision(out, checked, request, steps)
+    if torn:
+        out.notes.append("position sigmas are not stated: the model is torn")
+    else:
+        _precision(out, checked, request, steps)
     return out
 
 
@@ -197,22 +201,25 @@ def _with_found(checked: Checked, anew: Callable[[Checked, float], Checked], req
     return last
 
 
-def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishRequest) -> Steps:
+def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishRequest) -> tuple[Steps, bool]:
     """How many of the verified matches the final model explains, which frames their matches still contradict, and
-    whether the matches between cameras of rigs agree; returns steps to alternative places of frames."""
+    whether the matches between cameras of rigs agree; returns steps to alternative places of frames, and whether the
+    model is torn."""
     if request.matched is None or request.rough:
-        return []
+        return [], False
     scene, tuning = request.scene, request.tuning.placement
     try:
         found = explained(model, scene, request.matched.read(scene), tuning)
         other, places = rivals(found), part_places(found.in_doubt(found.tuning.agrees), tuning)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         out.notes.append(f"the matches could not be checked against the model: {error}")
-        return []
+        return [], False
     out.tables["matches that the model explains: frames with the fewest"] = found.table()
     out.counts["matches_explained_percent"] = round(found.percent(), 1)
     out.contradictions += rivals_told(other, scene)
     parts, (confirmed, sure) = steps_of_parts(found, places), confirmed_places(places, scene)
+    torn = [] if parts else tears(found.verified, found.agreed, scene, found.doubts.keys(), found.tuning)
+    out.contradictions += _torn_told(torn, scene)
     out.notes += confirmed
     for part in parts:
         away = float(np.median([np.linalg.norm(step) for step in part.values()]))
@@ -231,7 +238,18 @@ def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishR
         out.tables |= {"matches between cameras": {"columns": MATCHES, "rows": rows}} if rows else {}
         out.contradictions += said
     groups = [*parts, *({f: r.step} for f, r in other.items() if f not in inside)]
-    return [{k: step for f, step in group.items() for k in frame_ids(model, scene, f)} for group in groups]
+    return [{k: step for f, step in group.items() for k in frame_ids(model, scene, f)} for group in groups], bool(torn)
+
+
+def _torn_told(torn: Sequence[tuple[int, int, int, int]], scene: Scene) -> list[str]:
+    names = scene.frame_names
+    each = [f"{names[a]} and {names[b]}: {right} of {all_} agree" for a, b, right, all_ in torn]
+    said = (
+        f"the model is torn in {len(torn)} places, where most matches between frames that follow each other "
+        f"contradict it ({some(each, _NAMED)}): the parts are not in their place relative to each other, probably "
+        "because different places look alike"
+    )
+    return [said] if torn else []
 
 
 def _precision(out: FinishResult, checked: Checked, request: FinishRequest, steps: Steps) -> None:

@@ -17,7 +17,7 @@ from tiegraph.scene.colmapmodel import matrix, registered_images
 from tiegraph.scene.graph import parts as connected
 from tiegraph.scene.rig import rays_or_axis
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning.placement import AgreementTuning
+from tiegraph.sfm.tuning.placement import AgreementTuning, ConsistencyTuning
 
 
 class ViewGraph:
@@ -212,6 +212,37 @@ def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     meets = np.zeros(len(at), bool)
     meets[left] = _in_parts(all_.meet, left)
     return all_.of_pairs(*(np.where(t < 0, meets, t > 0) for t in told))
+
+
+def tears(
+    verified: VerifiedMatches,
+    agreed: np.ndarray,
+    scene: Scene,
+    doubtful: Collection[int],
+    tuning: ConsistencyTuning,
+) -> list[tuple[int, int, int, int]]:
+    """Where a model is torn: two following frames (indices) of a pass, of the matches between the frames before and
+    after the gap those that agree with the model, and all of them.
+
+    ``agreed`` (P, 3) as by ``agreement``. Frames at most ``tuning.near_steps`` apart are compared, without
+    ``doubtful`` ones, whose own place is wrong. Consecutive frames see the same surface, so the model must explain
+    most of their matches: right models of five sets 0.8 and more, three where a wall that repeats put one half of a
+    canal elsewhere 0 to 0.15.
+    """
+    order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
+    place, passes = np.argsort(order), np.stack([scene.sequence, scene.rig])
+    a, b = np.sort(place[scene.frame[verified.pairs]], axis=1).T
+    first, last = order[a], order[b]
+    near = (a != b) & (passes[:, first] == passes[:, last]).all(axis=0) & (scene.sequence[first] >= 0)
+    near &= scene.sequence_index[last] - scene.sequence_index[first] <= tuning.near_steps
+    near &= ~np.isin(first, list(doubtful)) & ~np.isin(last, list(doubtful))
+    votes = np.column_stack([agreed[near, :2].mean(axis=1), agreed[near, 2]])
+    across = np.zeros((scene.frames + 1, 2))
+    np.add.at(across, a[near], votes)
+    np.add.at(across, b[near], -votes)
+    right, all_ = np.cumsum(across, axis=0)[:-1].T
+    torn = np.flatnonzero((all_ >= tuning.min_votes) & (right < tuning.agrees * all_))
+    return [(int(order[k]), int(order[k + 1]), round(right[k]), round(all_[k])) for k in torn]
 
 
 def share_explained(

@@ -32,6 +32,8 @@ class ConsistencyTuning(Section):
     loses: float = Field(1.5, ge=1)
     """Ratio of contradicting to agreeing matches. On displaced sections 1 to 1.5 find the same, 2 and 3 fewer; at 1
     seven frames of a nuScenes drive were in doubt by 55 to 54."""
+    near_steps: int = Field(2, gt=0)
+    """Frames of a pass: images this close to each other show whether a model is torn between them."""
     least_positions: int = Field(3, gt=0)
     """Measured positions of a part, and of the rest, that decide between two places."""
 
