@@ -20,6 +20,7 @@ from tiegraph.project.settings import merged as merged_settings
 from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d
 from tiegraph.scene.composed import merged
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm import finish
 from tiegraph.sfm.model import Findings
 from tiegraph.sfm.placement import (
     Explained,
@@ -34,6 +35,7 @@ from tiegraph.sfm.placement import (
     suspect_frames,
     torn_told,
 )
+from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.placement import PlacementTuning
@@ -228,6 +230,30 @@ def test_a_model_is_torn_between_the_frames_whose_matches_it_contradicts(world, 
     assert (before, after) == (6, 7) and agree < 0.1 * all_ and all_ >= TUNING.consistency.min_votes
     passes = scene.with_(sequence=np.repeat([0, 1], 7), sequences=("road", "back"))
     assert _tears(model, passes, tmp_path) == [], "two passes may be anywhere"
+
+
+@pytest.mark.parametrize("torn", [False, True])
+def test_a_torn_model_says_so_and_states_no_sigma(world, tmp_path: Path, monkeypatch, torn: bool) -> None:
+    """Unless a second place of one part explains it: then the sigmas cover both."""
+    model, scene = world
+    if torn:
+        _shift(model, range(7, 14), (0, 0, -40))
+    monkeypatch.setattr(finish, "steps_of_parts", lambda *_: [])  # as where a repeated wall holds the parts together
+    (tmp_path / "mapped").mkdir()
+    model.write(tmp_path / "mapped")
+    request = FinishRequest(
+        folder=tmp_path / "mapped",
+        target=tmp_path / "0",
+        scene=scene,
+        tuning=Tuning(),
+        held=Held({0: "fixed"}, cameras=(1, 2, 3), readout_ms=0),
+        matched=MatchSource(tmp_path / "database.db"),
+        covariance_frames=100,
+    )
+    found = finish.finish_model(request, lambda _: None)
+    said = [text for text in found.contradictions if "the model is torn" in text]
+    assert len(said) == torn and (found.sigma is None) == (found.shape is None) == torn
+    assert not torn or "cam0/006.jpg and cam0/007.jpg" in said[0]
 
 
 def test_a_single_frame_elsewhere_is_no_tear(world, tmp_path: Path) -> None:

@@ -245,9 +245,9 @@ def _torn_told(torn: Sequence[tuple[int, int, int, int]], scene: Scene) -> list[
     names = scene.frame_names
     each = [f"{names[a]} and {names[b]}: {right} of {all_} agree" for a, b, right, all_ in torn]
     said = (
-        f"the model is torn in {len(torn)} places, where most matches between frames that follow each other "
-        f"contradict it ({some(each, _NAMED)}): the parts are not in their place relative to each other, probably "
-        "because different places look alike"
+        f"the model is torn, because most matches between frames that follow each other contradict it, at "
+        f"{len(torn)} of the gaps ({some(each, _NAMED)}): the parts are not in their place relative to each other, "
+        "probably because different places look alike"
     )
     return [said] if torn else []
 
