@@ -218,7 +218,8 @@ def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishR
     out.counts["matches_explained_percent"] = round(found.percent(), 1)
     out.contradictions += rivals_told(other, scene)
     parts, (confirmed, sure) = steps_of_parts(found, places), confirmed_places(places, scene)
-    torn = [] if parts else tears(found.verified, found.agreed, scene, found.doubts.keys(), found.tuning)
+    alone = [part[0] for part in found.parts if len(part) == 1]
+    torn = [] if parts else tears(found.verified, found.agreed, scene, alone, found.tuning)
     out.contradictions += _torn_told(torn, scene)
     out.notes += confirmed
     for part in parts:
