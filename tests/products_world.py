@@ -7,6 +7,7 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
+from tiegraph.products.frame import Frame
 from tiegraph.products.surface import Surface
 from tiegraph.scene.results import Cloud
 
@@ -49,7 +50,7 @@ class Scene:
     def surface(self):
         """Its reference surface, all around."""
         low, high = np.array([0.0, 0.0, -5.0]), np.array([*SIZE, 5.0])
-        return Surface(self.name, transforms.invert(self.world_from_surface), low, high, pixel_m=PIXEL)
+        return Surface(self.name, Frame(transforms.invert(self.world_from_surface)), low, high, pixel_m=PIXEL)
 
     def cloud(self, spacing=0.025, seed=0, together=True):
         """Points of the plane and the roof with noise, and of the sides of the box. Neighbours have their errors

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.products.frame import Frame
 from tiegraph.products.raster import Place, write_raster
 from tiegraph.products.surface import Surface
 from tiegraph.project.folder import SETTINGS
@@ -28,7 +29,7 @@ def errors(shape, seed=0, bell_px=1.5):
 def surface(rows=ROWS, columns=COLUMNS, name="map"):
     """A reference surface of so many pixels, its lower left corner at (100, 200) of the world."""
     low, high = np.array([100.0, 200.0, -50.0]), np.array([100.0 + columns * PIXEL, 200.0 + rows * PIXEL, 50.0])
-    return Surface(name, np.eye(4), low, high, pixel_m=PIXEL, offset=np.array(ORIGIN.shift_m))
+    return Surface(name, Frame(np.eye(4)), low, high, pixel_m=PIXEL, offset=np.array(ORIGIN.shift_m))
 
 
 def places(shape=(ROWS, COLUMNS)):

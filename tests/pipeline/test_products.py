@@ -151,6 +151,31 @@ def test_a_plane_without_points_says_so(made, tmp_path):
         glue.products(run_of(made, plane=(0.0, 0.0, 10.0, 0.0)))
 
 
+def test_a_wall_along_the_path_is_unrolled_with_the_same_files(made, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(made, folder, symlinks=True)
+    shutil.rmtree(folder / "products")
+    outcome = glue.products(run_of(folder, unroll="wall"))
+    wall = folder / "products" / "wall1"
+    assert outcome.counts["surfaces"] == len(list(wall.parent.glob("wall*"))) and "wall1: " in " ".join(outcome.notes)
+    assert {p.name for p in wall.iterdir()} == {p.name for p in (made / "products" / "elevation1").iterdir()}
+    frame = json.loads((wall / "frame.json").read_text())
+    axis = np.array(frame["axis"])
+    assert axis.shape[1] == 3 and frame["radius"] is None and "surface_from_crs" not in frame
+    np.testing.assert_allclose(np.linalg.norm(np.diff(axis[:, 1:], axis=0), axis=1), np.diff(axis[:, 0]), rtol=0.01)
+    with rasterio.open(wall / "dsm.tif") as raster, rasterio.open(wall / "ortho.tif") as ortho:
+        w, known = raster.read(1), raster.read_masks(1) > 0
+        assert json.loads(raster.tags()["axis"]) == frame["axis"] and raster.units == ("m",)
+        assert known.mean() > 0.05 and (ortho.read(4) > 0)[known].mean() > 0.7
+    assert 1e-4 < np.median(np.abs(w[known])) < 0.05  # the walls of this survey are plane
+
+
+def test_a_path_without_motion_is_an_error_that_says_so(made, monkeypatch):
+    monkeypatch.setattr(glue, "_path", lambda *_: np.zeros((9, 3)))
+    with pytest.raises(ReconstructionError, match="extends over 0, .* leave out products.unroll"):
+        glue.products(run_of(made, unroll="wall"))
+
+
 def test_a_plugin_makes_a_product_of_each_surface(made, tmp_path, monkeypatch):
     example = Path(__file__).parents[2] / "examples" / "plugin"
     groups = tomllib.loads((example / "pyproject.toml").read_text())["project"]["entry-points"]

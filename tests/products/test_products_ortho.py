@@ -12,6 +12,7 @@ import terrain_world as world
 from products_world import BOX, CHECK, MAP, PIXEL, ROOF, SIZE, WALL, colour, height, in_box
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.products.frame import Frame
 from tiegraph.products.ortho import Images, block_px, draw, gains, ortho_margin, ortho_tile, patch
 from tiegraph.products.raster import Place, read_window, relief, write_raster
 from tiegraph.products.surface import Surface, Window, project
@@ -214,7 +215,7 @@ def written(path, name, values, surface=None, origin=ORIGIN, unit="m"):
 
 def large(name="map", rows=700, columns=1100):
     low, high = np.array([10.0, 20.0, -5.0]), np.array([10.0 + columns * 0.1, 20.0 + rows * 0.1, 5.0])
-    return Surface(name, np.eye(4), low, high, pixel_m=0.1, offset=np.array(ORIGIN.shift_m))
+    return Surface(name, Frame(np.eye(4)), low, high, pixel_m=0.1, offset=np.array(ORIGIN.shift_m))
 
 
 def ramp(rows=700, columns=1100):

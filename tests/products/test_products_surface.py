@@ -25,7 +25,7 @@ def survey(scene, **more):
 
 def test_cameras_that_look_down_make_a_map_whose_pixels_are_round_and_lie_on_whole_ones_of_the_crs():
     (found,), notes = choose(survey(MAP), ProductsSettings(), TUNING)
-    assert found.name == "map" and (found.surface_from_world == np.eye(4)).all()
+    assert found.name == "map" and (found.frame.surface_from_world == np.eye(4)).all()
     assert found.pixel_m == 0.025  # 9 m over 400 pixels are 2.25 cm; half the spacing is 2 cm
     corner = (found.low + found.offset)[:2] / found.pixel_m
     np.testing.assert_allclose(corner, np.round(corner), atol=1e-6)
@@ -37,10 +37,10 @@ def test_cameras_that_look_down_make_a_map_whose_pixels_are_round_and_lie_on_who
 def test_cameras_that_look_sideways_make_elevations_of_the_walls():
     (found,), notes = choose(survey(WALL), ProductsSettings(pixel_m=0.05), TUNING)
     assert found.name == "elevation1"
-    outwards = found.surface_from_world[2, :3]
+    outwards = found.frame.surface_from_world[2, :3]
     assert np.degrees(np.arccos(outwards @ FACADE[:, 2])) < 12  # the plane of the world slants by up to 6 deg
-    np.testing.assert_allclose(found.surface_from_world[1, :3], [0, 0, 1])
-    assert found.surface_from_world[0, :3] @ FACADE[:, 0] > 0.97  # a viewer sees u grow to the right
+    np.testing.assert_allclose(found.frame.surface_from_world[1, :3], [0, 0, 1])
+    assert found.frame.surface_from_world[0, :3] @ FACADE[:, 0] > 0.97  # a viewer sees u grow to the right
     assert found.low[0] == 0 and found.high[0] == pytest.approx(SIZE[0], abs=0.2)
     assert found.low[1] + found.offset[1] == pytest.approx(3.0 + SHIFT[2], abs=0.1)
     assert 0.5 < found.share <= 1 and "elevation1: " in " ".join(notes)
@@ -53,7 +53,7 @@ def test_two_banks_are_two_elevations_that_face_each_other():
     both = Cloud.concatenate([WALL.cloud(0.04), replace(other.moved(turned), origin=None)])
     found, _ = choose(survey(WALL, sample=both), ProductsSettings(), TUNING)
     assert [s.name for s in found] == ["elevation1", "elevation2"]
-    one, two = (s.surface_from_world[2, :3] for s in found)
+    one, two = (s.frame.surface_from_world[2, :3] for s in found)
     assert one @ two < -0.95
 
 
@@ -61,9 +61,9 @@ def test_a_plane_that_is_given_is_taken_between_its_ends():
     ends = (*(np.array([10.0, -20.0]) + SHIFT[:2]), *(np.array([10.0, -20.0]) + 4 * FACADE[:2, 0] + SHIFT[:2]))
     (found,), _ = choose(survey(WALL), ProductsSettings(plane=ends, pixel_m=0.05), TUNING)
     assert found.shape[1] == pytest.approx(80, abs=1) and np.isnan(found.share)
-    np.testing.assert_allclose(found.surface_from_world[2, :3], FACADE[:, 2], atol=1e-9)
+    np.testing.assert_allclose(found.frame.surface_from_world[2, :3], FACADE[:, 2], atol=1e-9)
     np.testing.assert_allclose(
-        transforms.apply(found.surface_from_world, np.array([[10.0, -20, 3]]))[0], [0, 3, 0], atol=1e-9
+        transforms.apply(found.frame.surface_from_world, np.array([[10.0, -20, 3]]))[0], [0, 3, 0], atol=1e-9
     )
 
 
@@ -99,7 +99,7 @@ def test_the_box_around_a_window_holds_its_pixels():
     u, v = np.meshgrid(*surface.places(window))
     low, high = surface.box(window)
     for w in (-5.0, 5.0):
-        xyz = surface.in_world(u, v, np.full_like(u, w))
+        xyz = surface.frame.in_world(u, v, np.full_like(u, w))
         assert (xyz >= low).all() and (xyz <= high).all()
     assert sum(w.rows * w.columns for w in surface.windows(50)) == np.prod(surface.shape)
 

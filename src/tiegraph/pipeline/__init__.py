@@ -74,7 +74,7 @@ STAGES = (
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
-    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=3,
+    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=4,
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=10, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),

@@ -9,9 +9,10 @@ import numpy as np
 
 from tiegraph import plugins
 from tiegraph.errors import ReconstructionError
+from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
-from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz, world_origin, world_unit
+from tiegraph.pipeline.files import CLOUD, checked, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.pipeline.terrain import OnSurface, Step, TerrainWork, wanted
 from tiegraph.products.heights import height_tile, margin
 from tiegraph.products.ortho import (
@@ -33,6 +34,7 @@ from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.copc import copc_box, copc_sample
+from tiegraph.scene.scene import Scene
 from tiegraph.text import csv_text
 
 T = TypeVar("T")
@@ -53,7 +55,9 @@ def products(run: Run) -> Outcome:
     place = Place(world_origin(run.folder), world_unit(run.folder), accuracy_said(run, counted))
     with reading(run.path(CLOUD)):
         sample = copc_sample(run.path(CLOUD), place.origin, 100_000)  # points of the cloud that determine the surfaces
-    survey = Survey(sample, views, counted["voxel"], shift=shift_of(place.origin), unit=place.unit)
+    shift, unroll = shift_of(place.origin), run.settings.products.unroll
+    path = _path(checked(run), views) if unroll else np.zeros((0, 3))
+    survey = Survey(sample, views, counted["voxel"], shift=shift, unit=place.unit, path=path)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
     about = {"place": place, "tuning": tuning, "tile": TILE}
     work = [_Work(run.folder, s, **about, pictures=pictures, views=views) for s in surfaces]
@@ -77,6 +81,17 @@ def products(run: Run) -> Outcome:
         notes.append("the model has no scale: lengths are in its own units")
     pixels = sum(s.shape[0] * s.shape[1] for s in surfaces)
     return Outcome({"surfaces": len(surfaces), "pixels": pixels}, notes=tuple(notes))
+
+
+def _path(scene: Scene, views: list[Pinhole]) -> np.ndarray:
+    """(F, 3) the mean centre of the images of each frame, in the order of the pass that has the most images; of loose
+    photographs in that of their names."""
+    views = [v for v in views if v.name in scene.image_index]
+    frame = scene.frame[[scene.image_index[v.name] for v in views]]
+    most = np.bincount(scene.sequence[frame] + 1).argmax() - 1
+    centres = transforms.centre(np.array([v.cam_from_world for v in views]))
+    order = scene.in_order(scene.sequence == most)
+    return np.array([centres[frame == f].mean(axis=0) for f in order if (frame == f).any()])
 
 
 def _by_plugin(name: str, work: OnSurface) -> None:
@@ -160,7 +175,7 @@ class _Work(OnSurface):
 
     def finish_colours(self) -> None:
         self.write("ortho", self.tiles("colours", "ortho"))
-        write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), PICTURE_PX))
+        write_atomic(self.path("overview.jpg"), overview(self.path("ortho.tif"), PICTURE_PX, self.place.unit))
         rows = [(k, view.name) for k, view in enumerate(self.views, 1)]
         write_atomic(self.path("source.csv"), csv_text(("source", "image"), rows))
         self.write("source", self.tiles("colours", "source"))

@@ -98,6 +98,8 @@ class Viewed:
         found = []
         for path in sorted(self.run.path(FOLDER).glob("*/frame.json")):
             frame, folder = load_json(path), path.parent
+            if "surface_from_crs" not in frame:  # an unrolled raster is on no plane
+                continue
             for colours, heights, said in _SHEETS:
                 paths = folder / f"{colours}.tif", folder / f"{heights}.tif"
                 if all(p.exists() for p in paths):

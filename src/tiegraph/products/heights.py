@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from tiegraph.geometry import transforms
 from tiegraph.products.surface import Surface, Window
 from tiegraph.products.tuning import HeightTuning
 from tiegraph.scene.results import APART_SIGMAS, Cloud
@@ -38,12 +37,13 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
     is the mean by 1 / sigma^2 of the points that lie there. Its sigma is that of the mean of points with independent
     errors, times the ratio of their scatter to their sigmas if that exceeds 1.
     """
-    uvw = transforms.apply(surface.surface_from_world, points.xyz_m)
+    uvw = surface.frame.uvw(points.xyz_m)
     column = np.floor((uvw[:, 0] - surface.low[0]) / surface.pixel_m).astype(int) - window.column
     row = np.floor((surface.high[1] - uvw[:, 1]) / surface.pixel_m).astype(int) - window.row
     use = (row >= 0) & (column >= 0) & (row < window.rows) & (column < window.columns)
     use &= (uvw[:, 2] >= surface.low[2]) & (uvw[:, 2] <= surface.high[2])
-    use &= ~(points.normal @ surface.surface_from_world[2, :3] < -tuning.backward)
+    outwards = surface.frame.gradients(*uvw.T)[:, 2]
+    use &= ~(np.sum(points.normal * outwards, axis=1) < -tuning.backward)
     w, cell = uvw[use, 2], (row * window.columns + column)[use]
     known = np.nan_to_num(points.sigma_m[use].astype(float), nan=surface.pixel_m)
     order = np.lexsort((points.xyz_m[use, 1], points.xyz_m[use, 0], -w, cell))

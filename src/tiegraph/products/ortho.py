@@ -103,7 +103,7 @@ def _points(surface: Surface, window: Window, w: np.ndarray, step: int) -> np.nd
     """World points (N, 3) of the known pixels of a window."""
     u, v = np.meshgrid(*surface.places(window, step))
     known = np.isfinite(w)
-    return surface.in_world(u[known], v[known], w[known])
+    return surface.frame.in_world(u[known], v[known], w[known])
 
 
 def _drawn(surface: Surface, window: Window, w: np.ndarray) -> list[np.ndarray]:
@@ -119,17 +119,18 @@ def _drawn(surface: Surface, window: Window, w: np.ndarray) -> list[np.ndarray]:
         many = steps[at]
         share = (np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)) / np.repeat(many, many)
         low, high = np.repeat(a[at], many, axis=0), np.repeat(b[at], many, axis=0)
-        out.append(surface.in_world(*(low + share[:, None] * (high - low)).T))
+        out.append(surface.frame.in_world(*(low + share[:, None] * (high - low)).T))
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
     """A window of a surface as input for images: world points (rows, columns, 3), NaN = not known, normals
-    (rows, columns, 3) in the world, sigma (rows, columns) of w."""
+    (rows, columns, 3) and directions of w (rows, columns, 3) in the world, sigma (rows, columns) of w."""
 
     xyz: np.ndarray
     normal: np.ndarray
+    outwards: np.ndarray
     sigma: np.ndarray
 
     @staticmethod
@@ -143,8 +144,11 @@ class Ground:
         gaps = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
         down, right = np.gradient(smooth, surface.pixel_m * step) if min(w.shape) > 1 else np.zeros((2, *w.shape))
         slope = np.stack([np.where(gaps, 0, -right), np.where(gaps, 0, down), np.ones_like(w)], axis=-1)
-        normal = slope / np.linalg.norm(slope, axis=-1, keepdims=True)
-        return Ground(surface.in_world(u, v, w), normal @ surface.surface_from_world[:3, :3], np.nan_to_num(sigma))
+        gradients = surface.frame.gradients(u, v, smooth)
+        normal = np.einsum("...i,...ij->...j", slope, gradients)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        xyz, outwards = surface.frame.in_world(u, v, w), gradients[..., 2, :]
+        return Ground(xyz, normal, outwards=outwards, sigma=np.nan_to_num(sigma))
 
 
 def score(view: Pinhole, buffer: Buffer, ground: Ground, surface: Surface, tuning: OrthoTuning) -> np.ndarray:
@@ -166,7 +170,7 @@ def score(view: Pinhole, buffer: Buffer, ground: Ground, surface: Surface, tunin
     close = play + APART_SIGMAS * buffer.own_sigma[row, column]
     free = (front > 0) & (z <= buffer.depth[row, column] + play) & ~(behind > close)
     free &= size < tuning.coarsest * surface.pixel_m
-    away = np.maximum(towards @ surface.surface_from_world[2, :3], 0)
+    away = np.maximum(np.sum(towards * ground.outwards[there], axis=-1), 0)
     good, seen, agrees = np.zeros(there.shape), np.zeros(there.shape, bool), np.zeros(there.shape, np.float32)
     good[there] = np.minimum(1, surface.pixel_m / size) * away**tuning.angle_power
     good[there] *= np.minimum(1, buffer.border[row, column] / tuning.border)

@@ -18,7 +18,7 @@ from rasterio.windows import Window as Part
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin, parse_crs
 from tiegraph.limits import need_room
-from tiegraph.products.surface import MAP, NODATA, Surface, Window
+from tiegraph.products.surface import MAP, NODATA, Surface, Window, rounded_up
 from tiegraph.products.terrain import Line
 from tiegraph.scene.atomic import remove, replacing
 
@@ -70,26 +70,31 @@ class Place:
         """Of a map that of the world, if it has one; else a local one. Raises InputError for one without metres."""
         if surface.name == MAP and self.origin is not None and self.origin.crs != ENU:
             return rasterio.crs.CRS.from_wkt(parse_crs(self.origin.crs).to_wkt())
-        axes = "east and north" if surface.name == MAP else "along the wall and up"
+        axes = " and ".join(surface.axes[:2])
         unit = "" if self.unit == "m" else " in units of the model"  # GeoTIFF knows no unit without a length
         name = f"tiegraph {surface.name}: {axes}{unit}"
         return rasterio.crs.CRS.from_wkt(f'LOCAL_CS["{name}",UNIT["metre",1],AXIS["u",EAST],AXIS["v",NORTH]]')
 
-    def frame(self, surface: Surface) -> np.ndarray:
-        """(4, 4) from coordinates of the CRS (of the world, if it has none) to (u, v, w) of the files."""
-        shift = np.zeros(3) if self.origin is None else np.asarray(self.origin.shift_m)
+    def frame(self, surface: Surface) -> dict:
+        """How coordinates of the CRS (of the world, if it has none) become (u, v, w) of the files, JSON-ready:
+        ``surface_from_crs`` (4, 4), or of a curved surface ``axis``, rows of u and x, y, z (of a wall x, y), and
+        ``radius``, None of a wall."""
+        shift, frame = np.zeros(3) if self.origin is None else np.asarray(self.origin.shift_m), surface.frame
+        if frame.nodes is not None:
+            axis = np.c_[frame.stations, frame.nodes + shift][:, : 4 if frame.tube else 3]
+            return {"axis": axis.tolist(), "radius": frame.radius if frame.tube else None}
         to_world = transforms.rigid(np.eye(3), -shift)
-        return transforms.rigid(np.eye(3), surface.offset) @ surface.surface_from_world @ to_world
+        matrix = transforms.rigid(np.eye(3), surface.offset) @ frame.surface_from_world @ to_world
+        return {"surface_from_crs": matrix.tolist()}
 
     def described(self, surface: Surface) -> dict:
         """The content of ``frame.json``, JSON-ready."""
-        axes = ("east", "north", "up") if surface.name == MAP else ("along the wall", "up", "out of the wall")
         return {
             "surface": surface.name,
-            "axes": dict(zip("uvw", axes)),
+            "axes": dict(zip("uvw", surface.axes)),
             "crs": None if self.origin is None else self.origin.crs,
             "unit": self.unit,
-            "surface_from_crs": self.frame(surface).tolist(),
+            **self.frame(surface),
             "pixel": surface.pixel_m,
             "size": list(surface.shape[::-1]),
             "upper_left_uv": [surface.low[0] + surface.offset[0], surface.high[1] + surface.offset[1]],
@@ -122,8 +127,8 @@ def write_raster(
             out.units = (place.unit,)
         if "alpha" in kind.bands:
             out.colorinterp = [ColorInterp[name] for name in kind.bands]
-        told = {"software": "tiegraph", "surface": surface.name, "accuracy": place.said, "unit": place.unit}
-        out.update_tags(**told, surface_from_crs=json.dumps(place.frame(surface).tolist()))
+        told: dict = {"software": "tiegraph", "surface": surface.name, "accuracy": place.said, "unit": place.unit}
+        out.update_tags(**told | {k: json.dumps(v) for k, v in place.frame(surface).items()})
         for window, values in parts:
             known = np.where(np.isfinite(values), values, NODATA) if kind.lengths else values
             known = known.reshape(len(kind.bands), window.rows, window.columns)
@@ -164,11 +169,18 @@ def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:
 # --- pictures ---------------------------------------------------------------------------------------------------------
 
 
-def overview(path: Path, width: int) -> bytes:
-    """A JPEG file of an RGBA raster on white, at most so many pixels wide."""
+def overview(path: Path, width: int, unit: str) -> bytes:
+    """A JPEG file of an RGBA raster on white, at most so many pixels wide, with a scale bar in ``unit`` below: a tenth
+    of its width or somewhat more."""
     with rasterio.open(path) as raster:
-        rgba = raster.read(out_shape=(4, *_shape(raster, width)), resampling=Resampling.average).astype(float)
-    return _jpeg(np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).transpose(1, 2, 0))
+        shape = _shape(raster, width)
+        rgba = raster.read(out_shape=(4, *shape), resampling=Resampling.average).astype(float)
+        pixel = raster.transform.a * raster.width / shape[1]
+    strip = np.full((_BAR, shape[1], 3), 255, np.uint8)
+    length = rounded_up(shape[1] * pixel / 10, (1, 2, 5, 10))
+    cv2.rectangle(strip, (4, 8), (4 + round(length / pixel), 12), _INK, cv2.FILLED)
+    _write(strip, f"{length:g} {unit}", np.array([4 + round(length / pixel / 2), 30]))
+    return _jpeg(np.concatenate([np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).transpose(1, 2, 0), strip]))
 
 
 def relief(path: Path, width: int, unit: str, lines: Sequence[Line] = ()) -> bytes:

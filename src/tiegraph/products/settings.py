@@ -9,7 +9,7 @@ from tiegraph.settings import Section
 
 
 class ProductsSettings(Section):
-    """Delivered rasters: surface model, its sigma, true orthophoto; of a map or of elevations of walls."""
+    """Delivered rasters: surface model, its sigma, true orthophoto; of a map, of elevations of walls, or unrolled."""
 
     make: Literal["auto", "none", "map", "elevations", "both"] = "auto"
     """Rasters to make; auto = a map where cameras look down, elevations of the largest walls where they look
@@ -20,6 +20,9 @@ class ProductsSettings(Section):
     plane: tuple[float, float, float, float] | None = None
     """A vertical reference plane instead of detected ones: east and north of its left and of its right end as
     seen from in front of it, in the CRS."""
+    unroll: Literal["tunnel", "wall"] | None = None
+    """Curved surfaces along the path of the cameras, unrolled, instead of elevations: the lining of a tunnel or pipe
+    round it, or walls beside it, such as curved quays or a round tower."""
     objects_m: float = Field(40.0, gt=0, le=1000)
     """For a map: trees, cars and houses up to this width, metres, are removed from the terrain model; wider objects in
     every direction, such as a hall or a closed forest, stay in it. Terrain is interpolated to half of this."""

@@ -1,6 +1,7 @@
-"""A reference surface: a rigid frame (u, v, w) and the raster over (u, v), and the windows of that raster.
+"""A reference surface: its frame (u, v, w) and the raster over (u, v), and the windows of that raster.
 
-Those of a survey are chosen: a map where its cameras look down, walls where they look sideways.
+Those of a survey are chosen: a map where its cameras look down, walls where they look sideways; curved ones if they
+are asked for.
 """
 
 from collections.abc import Sequence
@@ -11,6 +12,8 @@ import numpy as np
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
+from tiegraph.products import alignment
+from tiegraph.products.frame import Frame
 from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.tuning import ChooseTuning
 from tiegraph.scene.results import Cloud
@@ -20,6 +23,8 @@ NODATA = -9999.0
 MAP = "map"
 _SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
 _FEWEST = 10  # points on a reference plane at least
+_FITTED = 5000  # points by which a curved one is found
+_EDGE = 33  # places along an edge of a window of a curved surface
 
 
 @dataclass(frozen=True)
@@ -40,20 +45,29 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A frame (4, 4) surface_from_world, the corners (3,) of its box in (u, v, w), the edge of a pixel in world units
-    (0 = not chosen yet), and the share of the points that a wall has (NaN = not found by its points).
+    """A frame, the corners (3,) of its box in (u, v, w), the edge of a pixel in world units (0 = not chosen yet), and
+    the share of the points that it has (NaN = not found by its points).
 
     Files have (u, v, w) plus ``offset`` (3,): for a map the shift to its CRS, for a wall its height. There the
     corners in u and v are whole pixels; row 0 lies at the largest v.
     """
 
     name: str
-    surface_from_world: np.ndarray
+    frame: Frame
     low: np.ndarray
     high: np.ndarray
     pixel_m: float = 0.0
     share: float = float("nan")
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The directions of u, v and w in words."""
+        if self.name == MAP:
+            return "east", "north", "up"
+        if self.frame.tube:
+            return "along the axis", "round from the crown", "towards the axis"
+        return "along the wall", "up", "out of the wall"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -73,18 +87,14 @@ class Surface:
         u = self.low[0] + (window.column + columns + step / 2) * self.pixel_m
         return u, self.high[1] - (window.row + rows + step / 2) * self.pixel_m
 
-    def in_world(self, u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """World points (..., 3) of the surface at u, v and w of one shape (...)."""
-        world_from_surface = transforms.invert(self.surface_from_world)
-        return np.stack([u, v, w], axis=-1) @ world_from_surface[:3, :3].T + world_from_surface[:3, 3]
-
     def box(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
         """Corners (3,) in the world of the box along its axes around a window, for all w of the surface."""
-        u = self.low[0] + np.array([window.column, window.column + window.columns]) * self.pixel_m
-        v = self.high[1] - np.array([window.row, window.row + window.rows]) * self.pixel_m
-        corners = np.array(np.meshgrid(u, v, [self.low[2], self.high[2]])).reshape(3, 8)
-        xyz = self.in_world(*corners)
-        return xyz.min(axis=0), xyz.max(axis=0)
+        share = np.linspace(0, 1, 2 if self.frame.nodes is None else _EDGE)
+        u = self.low[0] + (window.column + share * window.columns) * self.pixel_m
+        v = self.high[1] - (window.row + share * window.rows) * self.pixel_m
+        xyz = self.frame.in_world(*np.meshgrid(u, v, [self.low[2], self.high[2]]))
+        beyond = 0.0 if len(share) == 2 else np.abs(np.diff(xyz, axis=1)).max() + np.abs(np.diff(xyz, axis=0)).max()
+        return xyz.min(axis=(0, 1, 2)) - beyond, xyz.max(axis=(0, 1, 2)) + beyond
 
 
 def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -105,14 +115,16 @@ def rounded_up(size: float, series: Sequence[float]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Data for the choice: a sample of the cloud, the images, the points' spacing, and the shift (3,) from the world to
-    the CRS; lengths in ``unit`` (m, or units of a model without scale)."""
+    """Data for the choice: a sample of the cloud, the images, the points' spacing, the shift (3,) from the world to
+    the CRS, and the path (F, 3) of the cameras in its order; lengths in ``unit`` (m, or units of a model without
+    scale)."""
 
     sample: Cloud
     views: Sequence[Pinhole]
     spacing: float
     shift: np.ndarray
     unit: str = "m"
+    path: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def centres(self) -> np.ndarray:
@@ -127,7 +139,7 @@ class Survey:
 
 def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> tuple[list[Surface], list[str]]:
     """The surfaces whose rasters are made, and remarks with reasons. Raises ReconstructionError for a reference plane
-    on which no points lie."""
+    on which no points lie, and where no curved one fits the path and the points."""
     if settings.make == "none":
         return [], ["nothing is made, by products.make"]
     down = -float(survey.looking[:, 2].mean())
@@ -140,8 +152,12 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
     if wants_map:
         low, high = survey.sample.xyz_m[:, 2].min(), survey.sample.xyz_m[:, 2].max()
         beyond, out = high - low, np.array([np.inf, np.inf])  # a sample lacks the highest
-        found.append(Surface(MAP, np.eye(4), low=np.append(-out, low - beyond), high=np.append(out, high + beyond)))
-    if given:
+        found.append(
+            Surface(MAP, Frame(np.eye(4)), low=np.append(-out, low - beyond), high=np.append(out, high + beyond))
+        )
+    if settings.unroll is not None:
+        found += _unrolled(survey, settings.unroll, tuning)
+    elif given:
         found.append(_given(survey, settings.plane, tuning))  # type: ignore[arg-type]
     elif wants_walls:
         found += walls(survey, tuning)
@@ -150,9 +166,13 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
     if not found:
         no_wall = f", and no vertical plane has {tuning.least_share:.0%} of the points" if wants_walls else ""
         return [], [f"no raster is made: {looks}{no_wall}; products.make = map makes one nevertheless"]
-    why = [] if not auto else [f"chosen by the view directions ({looks}): {', '.join(s.name for s in found)}"]
+    planes = ", ".join(s.name for s in found if s.frame.nodes is None)
+    why = [f"chosen by the view directions ({looks}): {planes}"] if auto and planes else []
+    if settings.unroll is not None and settings.plane is not None:
+        why.append("products.plane has no effect beside products.unroll")
     made = [_trimmed(s, survey, settings, tuning) for s in found]
     shares = [f"{s.name}: {s.share:.0%} of the points" for s in made if np.isfinite(s.share)]
+    shares += [f"{s.name}: radius {s.frame.radius:.4g} {survey.unit}" for s in made if s.frame.tube]
     sizes = [f"{s.name}: {s.shape[1]} x {s.shape[0]} pixels of {s.pixel_m:g} {survey.unit}" for s in made]
     return made, [*why, *shares, *sizes]
 
@@ -166,7 +186,7 @@ def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
         at = np.flatnonzero(free)
         tried = np.random.default_rng(0).permutation(at)[:400]  # planes that are tried for each wall
         planes = [_plane(xyz[k], normal[k]) for k in tried]
-        near = [_near(survey, plane, tuning.flatness) for plane in planes]
+        near = [_near(survey, Frame(plane), tuning.flatness) for plane in planes]
         votes = [np.count_nonzero(_on(xyz[at], normal[at], p, n, tuning)) for p, n in zip(planes, near)]
         best = int(np.argmax(votes))
         plane, within = planes[best], near[best]
@@ -179,7 +199,7 @@ def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
         deep = within / tuning.flatness * tuning.reach
         low, high = np.array([-np.inf, -np.inf, -deep]), np.array([np.inf, np.inf, deep])
         name = f"elevation{len(found) + 1}"
-        found.append(Surface(name, plane, low=low, high=high, share=share))
+        found.append(Surface(name, Frame(plane), low=low, high=high, share=share))
         free[at] &= np.abs(transforms.apply(plane, xyz[at])[:, 2]) > deep
     return found
 
@@ -191,10 +211,11 @@ def _plane(point: np.ndarray, outwards: np.ndarray) -> np.ndarray:
     return transforms.rigid(axes, -axes @ (np.asarray(point, float) * [1, 1, 0]))  # v is the height
 
 
-def _near(survey: Survey, plane: np.ndarray, share: float) -> float:
-    """A share of the median distance from a plane of the cameras in front that look at it, or else of all."""
-    away = transforms.apply(plane, survey.centres)[:, 2]
-    front = away[(away > 0) & (survey.looking @ plane[2, :3] < 0)]
+def _near(survey: Survey, frame: Frame, share: float) -> float:
+    """A share of the median distance from a surface of the cameras in front that look at it, or else of all."""
+    uvw = frame.uvw(survey.centres)
+    away, towards = uvw[:, 2], frame.gradients(*uvw.T)[:, 2]
+    front = away[(away > 0) & (np.sum(survey.looking * towards, axis=1) < 0)]
     return share * float(np.median(front if len(front) else np.abs(away)))
 
 
@@ -219,10 +240,10 @@ def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: Choo
     if not np.hypot(*along) > 0:
         raise ReconstructionError(f"{said}: its two ends are one place; give the left and the right end of a wall")
     plane = _plane(np.array([*left, 0.0]), np.array([along[1], -along[0], 0.0]))
-    deep = _near(survey, plane, tuning.reach)
+    deep = _near(survey, Frame(plane), tuning.reach)
     start = float(plane[0, :2] @ left + plane[0, 3])
     low, high = np.array([start, -np.inf, -deep]), np.array([start + np.hypot(*along), np.inf, deep])
-    found = Surface("elevation1", plane, low=low, high=high)
+    found = Surface("elevation1", Frame(plane), low=low, high=high)
     if np.count_nonzero(_inside(found, survey.sample)) < _FEWEST:
         low, high = (
             v[:2] + survey.shift[:2] for v in (survey.sample.xyz_m.min(axis=0), survey.sample.xyz_m.max(axis=0))
@@ -234,8 +255,23 @@ def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: Choo
     return found
 
 
+def _unrolled(survey: Survey, kind: str, tuning: ChooseTuning) -> list[Surface]:
+    """The curved surfaces of a kind along the path, the largest first."""
+    cloud = survey.sample.where(evenly(len(survey.sample), _FITTED))
+    fits = {"tunnel": alignment.tunnel, "wall": alignment.walls}[kind](survey.path, cloud, tuning)
+    found = []
+    for k, (frame, share) in enumerate(fits, 1):
+        _, axes, bend = frame.axis(frame.stations)
+        turns = np.sum(bend * axes[:, 1], axis=1) if not frame.tube else np.zeros(1)
+        deep, around = _near(survey, frame, tuning.reach), np.pi * frame.radius  # infinite for a wall
+        room = [min(deep, alignment.TIGHTEST / max(1e-9, (sign * turns).max())) for sign in (-1, 1)]
+        low, high = np.array([0.0, -around, -room[0]]), np.array([frame.stations[-1], around, room[1]])
+        found.append(Surface(kind if frame.tube else f"{kind}{k}", frame, low=low, high=high, share=share))
+    return found
+
+
 def _inside(surface: Surface, cloud: Cloud) -> np.ndarray:
-    uvw = transforms.apply(surface.surface_from_world, cloud.xyz_m)
+    uvw = surface.frame.uvw(cloud.xyz_m)
     return np.all((uvw >= surface.low) & (uvw <= surface.high), axis=1)
 
 
@@ -250,17 +286,18 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
     pixel = settings.pixel_m or rounded_up(max(gsd, survey.spacing / 2), _SERIES)
     near = sizes <= tuning.coarsest * pixel
-    uv = transforms.apply(surface.surface_from_world, own[near] if near.any() else own)[:, :2]
+    uv = surface.frame.uvw(own[near] if near.any() else own)[:, :2]
     low, high = np.quantile(uv, [tuning.trimmed, 1 - tuning.trimmed], axis=0)
     wide = 0.05 * (high - low)  # more than the part trimmed of an even cover
     low, high = np.maximum(low - wide, uv.min(axis=0)), np.minimum(high + wide, uv.max(axis=0))
     low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # given limits are kept
     high = np.where(np.isfinite(surface.high), surface.high, np.append(high, 0.0))
-    frame, offset = surface.surface_from_world.copy(), survey.shift
-    if surface.name != MAP:  # u counts from the left end, v is the height
-        offset = np.array([0.0, survey.shift[2], 0.0])
-        frame[0, 3] -= low[0]
+    frame, offset = surface.frame, survey.shift
+    if surface.name != MAP:  # u counts from the left end, v is the height, or counts from the crown
+        offset = np.array([0.0, 0.0 if frame.tube else survey.shift[2], 0.0])
+        from_left = transforms.rigid(np.eye(3), np.array([-low[0], 0, 0]))
+        frame = replace(frame, surface_from_world=from_left @ frame.surface_from_world)
         low, high = low - [low[0], 0, 0], high - [low[0], 0, 0]
     low[:2] = np.floor((low + offset)[:2] / pixel + 1e-6) * pixel - offset[:2]
     high[:2] = np.ceil((high + offset)[:2] / pixel - 1e-6) * pixel - offset[:2]
-    return replace(surface, surface_from_world=frame, low=low, high=high, pixel_m=pixel, offset=offset)
+    return replace(surface, frame=frame, low=low, high=high, pixel_m=pixel, offset=offset)

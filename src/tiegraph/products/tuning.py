@@ -26,6 +26,9 @@ class ChooseTuning(Section):
     """Points this near to a plane, as the same share, count for it."""
     upright_deg: float = Field(20.0, gt=0, le=90)
     """Normals of a wall's points deviate from that of its plane by at most this."""
+    smooth: float = Field(4.0, gt=0)
+    """Pieces of the alignment of an unrolled surface are as long as so many diameters of the tube or heights of the
+    wall: arcs and clothoids of roads and railways are longer, settlements and bulges are shorter."""
     coarsest: float = Field(3.0, ge=1)
     """A raster reaches as far as images resolve the surface by this many of its pixels, ..."""
     trimmed: float = Field(0.005, ge=0, lt=0.5)
