@@ -31,7 +31,7 @@ from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.matchblocks import Rules, colmap_options
 from tiegraph.features.matchers import Features, matcher
-from tiegraph.features.preview import PreviewMatch, extract_preview, guessed_camera, match_previews
+from tiegraph.features.preview import PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.sift import evened, extract_sift
 from tiegraph.features.tuning import Tuning as FeaturesTuning
@@ -47,6 +47,7 @@ from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.plugins import chosen
+from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.cloudchunks import points_of
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud, DepthMap
@@ -142,10 +143,12 @@ def candidates(
     if not previews:
         raise InputError("no image is given: candidates need two at least")
 
-    def matched(pairs: np.ndarray) -> list[PreviewMatch]:
-        return [match_previews(previews[i], previews[j], camera, camera, asked, tuning.preview) for i, j in pairs]
+    known = camera or _guessed((previews[0].width, previews[0].height))
 
-    rig = Rig("camera", (Sensor("camera", camera or guessed_camera(previews[0], tuning.preview)),))
+    def matched(pairs: np.ndarray) -> list[PreviewMatch]:
+        return [match_previews(previews[i], previews[j], known, known, asked, tuning.preview) for i, j in pairs]
+
+    rig = Rig("camera", (Sensor("camera", known),))
     number = np.arange(len(images))
     order = {"sequence": np.zeros(len(images)), "sequence_index": number} if ordered else {}
     names = [f"{k:06d}" for k in number]
@@ -176,9 +179,7 @@ def match(
     settings = settings or MatchSettings()
     _, verification = colmap_options(Rules(settings, FeaturesTuning().verification))
     verification.compute_relative_pose = cameras is not None
-    one, two = cameras or [
-        pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 1.2 * max(f.size), *f.size) for f in (a, b)
-    ]
+    one, two = cameras or (_guessed(a.size), _guessed(b.size))
     tentative = matcher(settings)(a, b, "a", "b")
     points = [f.keypoints[:, :2].astype(float) for f in (a, b)]
     return Matches(
@@ -282,6 +283,12 @@ def compare_clouds(
         return judge_cloud(
             points_of(one), points_of(two, "the reference"), Path(folder), question or Question(), EvaluateTuning()
         )
+
+
+def _guessed(size: tuple[int, int]) -> pycolmap.Camera:
+    """A camera of unknown focal length, as scan guesses it."""
+    focal = ScanTuning().rig.camera.guessed_focal * max(size)
+    return pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", focal, *size)
 
 
 def _grey(image: np.ndarray) -> np.ndarray:
