@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import tiegraph
 from tiegraph import arrays
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from worlds import Survey, make_survey
 
@@ -100,7 +101,56 @@ def test_a_model_of_arrays(survey: Survey) -> None:
     assert model.num_reg_images() == 6 and sorted(i.name for i in model.images.values())[0] == "000000.png"
 
 
+def measured(seed: int, times: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Poses of 16 cameras in a model and in the world, positions that err by ``times`` their sigmas, the sigmas."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-1, 1, (16, 3)) * [30, 20, 5]
+    there = transforms.rigid(Rotation.random(16, random_state=seed).as_matrix(), places)
+    turn = Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix()
+    model = transforms.rigid(turn.T @ there[:, :3, :3], (places - [10, 20, 3]) @ turn / 2.5)
+    sigma = np.tile([0.05, 0.05, 0.1], (16, 1))
+    positions = places + times * sigma * rng.standard_normal((16, 3))
+    return transforms.invert(model), transforms.invert(there), positions, sigma
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_errors_of_a_georeference_are_those_that_its_sigmas_say(times: float) -> None:
+    ratios, scales = [], []
+    for seed in range(8):
+        model, there, positions, sigma = measured(seed, times)
+        found = arrays.georeference(model, positions, sigma)
+        off = transforms.centre(found.cam_from_world) - transforms.centre(there)
+        ratios.append(np.sqrt(np.mean((off / found.sigma_m) ** 2)))
+        scales.append((found.world_from_model.scale / 2.5 - 1) / found.error.sigmas()["scale"])
+        assert np.abs(found.cam_from_world[:, :3, :3] - there[:, :3, :3]).max() < 0.02 * times
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 2 and 0.5 < np.sqrt(np.mean(np.square(scales))) < 2
+
+
+@pytest.mark.slow
+def test_wrong_and_unknown_positions_are_left_out() -> None:
+    model, there, positions, sigma = measured(3)
+    positions[0] += 5
+    positions[1] = model[2] = np.nan
+    found = arrays.georeference(model, positions, sigma[:, 0])
+    assert not found.used[:3].any() and found.used.sum() >= 11
+    assert np.isnan(found.residuals_m[1:3]).all() and np.isnan(found.sigma_m[2]).all()
+    assert 4 < np.linalg.norm(found.residuals_m[0]) < 10
+    off = transforms.centre(found.cam_from_world[3:]) - transforms.centre(there[3:])
+    assert 0.001 < np.abs(off).max() < 0.15
+    assert f"{found.used.sum()} of 14 used; sigmas: position_m 0.0" in repr(found)
+    with pytest.raises(ReconstructionError, match="2 registered frames have a prior position, 3 are needed"):
+        arrays.georeference(model[3:5], positions[3:5], 0.1)
+
+
 def test_bad_arrays_are_named() -> None:
+    for wrong, said in (
+        ((np.eye(4), np.zeros((4, 3)), 1.0), r"got \(4, 4\) and \(4, 3\)"),
+        ((np.tile(np.eye(4), (3, 1, 1)), np.zeros((3, 3)), np.ones(2)), r"sigmas \(2,\)"),
+        ((np.tile(np.eye(4), (3, 1, 1)), np.zeros((3, 3)), 0.0), "above 0"),
+    ):
+        with pytest.raises(InputError, match=said):
+            arrays.georeference(*wrong)
     with pytest.raises(InputError, match=r"\(4, 4, 2\) float64"):
         arrays.features(np.zeros((4, 4, 2)))
     with pytest.raises(InputError, match="no image"):

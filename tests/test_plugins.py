@@ -13,13 +13,19 @@ import tiegraph
 from features_world import features, filled_database, scene
 from tiegraph.dense.engine import ENGINES
 from tiegraph.errors import EngineMissing, InputError, SettingsError
+from tiegraph.evaluate.reference import model_poses
 from tiegraph.features.matchblocks import Rules, match_pairs
 from tiegraph.features.matchers import Features, matcher
 from tiegraph.features.settings import MatchSettings
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.files import read_mask
 from tiegraph.plugins import chosen
+from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.pairs import Pairs
-from worlds import make_survey
+from tiegraph.scene.results import load_depth
+from worlds import make_survey, write_gnss, write_times
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,19 +46,48 @@ def install(folder: Path, groups: dict[str, dict[str, str]]) -> None:
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
+ALL = {
+    "masks": {"source": "caption"}, "candidates": {"sources": ["doubling"]}, "features": {"engine": "corners"},
+    "match": {"engine": "upright"}, "dense": {"engine": "blocks"}, "products": {"extra": ["slope"]},
+}  # fmt: skip
+
+
 @pytest.mark.slow
-def test_the_example_plugin_masks_the_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    survey = make_survey(tmp_path / "images", passes=("up",), frames=2, size=(160, 120))
+@pytest.mark.usefixtures("children_are_functions")
+def test_a_survey_is_made_by_the_plugins_of_the_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    survey = make_survey(tmp_path / "images", passes=("up",), frames=4, size=(256, 192))
+    write_rig_toml(survey.rig, tmp_path / "rig.toml")
+    given = {
+        "rig": tmp_path / "rig.toml",
+        "gnss": write_gnss(survey, tmp_path / "gnss.csv"),
+        "times": write_times(survey, tmp_path / "times.csv"),
+    }
     with pytest.raises(SettingsError, match="valid are auto, learnt.*no plug-in is installed"):
-        tiegraph.open(survey.images, tmp_path / "out", settings={"masks": {"source": "caption"}})
+        tiegraph.open(survey.images, tmp_path / "out", settings=ALL)
     groups = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert len(groups) == len(ALL) == 6, "one of each kind"
     install(tmp_path, groups)
     for folder in (tmp_path, EXAMPLE):
         monkeypatch.syspath_prepend(folder)
-    project = tiegraph.open(survey.images, tmp_path / "out", settings={"masks": {"source": "caption"}})
-    project.run(until="masks")
-    masks = [read_mask(project.folder, name) for name in project.scene().names]
-    assert len(masks) == 4 and all(m[:113].all() and not m[113:].any() for m in masks)
+    project = tiegraph.open(survey.images, tmp_path / "out", settings=ALL, pool="serial", **given)
+    project.run(until="products")
+    for stage in ALL:
+        assert project.receipt(stage)["software"]["tiegraph-caption"] == "0.1.0", stage
+    names = project.scene().names
+    masks = [read_mask(project.folder, name) for name in names]
+    assert len(masks) == 8 and all(m[:180].all() and not m[180:].any() for m in masks)
+    rows = project.pairs().to_pandas(names)
+    assert set(rows["source"]) == {"plugin"} and len(rows) == 10, "one and two frames on, of two cameras"
+    truth = np.array([transforms.centre(survey.cam_from_world[n]) for n in names[:4]])
+    centres = model_poses(project.model(), project.scene()).centres()[:4]
+    error = np.linalg.norm(umeyama(centres, truth)(centres) - truth, axis=1)
+    assert 1e-5 < np.sqrt(np.mean(error**2)) < 0.02, "metres, along a path of 3 m"
+    found = load_depth(depth_path(project.folder, names[1]))
+    ratio = found.depth_m / survey.world.depth_m(survey.rig.sensors[0].camera, survey.cam_from_world[names[1]])
+    ratio = ratio[np.isfinite(found.depth_m)]
+    off = np.median(np.abs(ratio / np.median(ratio) - 1))  # four positions leave the scale uncertain by 1 %
+    assert len(ratio) > 20_000 and 1e-4 < off < 0.01
+    assert len(list((project.folder / "products").rglob("slope/slope.tif"))) == 2
 
 
 @pytest.mark.slow

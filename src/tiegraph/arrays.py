@@ -26,15 +26,18 @@ from tiegraph.dense.engine import ENGINES, DenseView, installed
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning as DenseTuning
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.matchblocks import Rules, colmap_options
 from tiegraph.features.matchers import Features, matcher
-from tiegraph.features.preview import PreviewMatch, extract_preview, guessed_camera, match_previews
+from tiegraph.features.preview import PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.sift import evened, extract_sift
 from tiegraph.features.tuning import Tuning as FeaturesTuning
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import PlacementError, Similarity
+from tiegraph.geometry.gravity import up_vector
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
@@ -44,21 +47,29 @@ from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.plugins import chosen
+from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.cloudchunks import points_of
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud, DepthMap
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
+from tiegraph.sfm.world.fixes import Measured, Measurements
+from tiegraph.sfm.world.georef import of_fit
+from tiegraph.sfm.world.similarityfit import NotPlaced, fit_to_world
 
 __all__ = [
     "DenseView",
     "Features",
+    "Georeference",
     "Matches",
     "candidates",
     "compare_clouds",
     "depth",
     "features",
     "fuse_depth",
+    "georeference",
     "learn_masks",
     "match",
     "reconstruct",
@@ -80,6 +91,31 @@ class Matches:
 
     def __repr__(self) -> str:
         return f"Matches({len(self.inliers)} verified of {len(self.tentative)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """A model in the world: ``world_from_model``, its covariance ``error``, the N poses there and what was measured.
+
+    cam_from_world (N, 4, 4), NaN = not in the model; sigma_m (N, 3) of their centres by the georeference alone, east,
+    north, up; residuals_m (N, 3) model minus measured, NaN = unknown; used (N,) bool: positions that agree.
+    ``error.sigma(points)`` gives sigmas of other places. ``notes`` are the remarks of the stage georef.
+    """
+
+    world_from_model: Similarity
+    error: PlacementError
+    cam_from_world: np.ndarray
+    sigma_m: np.ndarray
+    residuals_m: np.ndarray
+    used: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        known = np.isfinite(self.residuals_m).all(axis=1).sum()
+        said = ", ".join(f"{name} {value:.2g}" for name, value in self.error.sigmas().items())
+        return (
+            f"Georeference(scale {self.world_from_model.scale:.6g}, {self.used.sum()} of {known} used; sigmas: {said})"
+        )
 
 
 def learn_masks(images: Sequence[np.ndarray], settings: MasksSettings | None = None) -> list[np.ndarray]:
@@ -107,10 +143,12 @@ def candidates(
     if not previews:
         raise InputError("no image is given: candidates need two at least")
 
-    def matched(pairs: np.ndarray) -> list[PreviewMatch]:
-        return [match_previews(previews[i], previews[j], camera, camera, asked, tuning.preview) for i, j in pairs]
+    known = camera or _guessed((previews[0].width, previews[0].height))
 
-    rig = Rig("camera", (Sensor("camera", camera or guessed_camera(previews[0], tuning.preview)),))
+    def matched(pairs: np.ndarray) -> list[PreviewMatch]:
+        return [match_previews(previews[i], previews[j], known, known, asked, tuning.preview) for i, j in pairs]
+
+    rig = Rig("camera", (Sensor("camera", known),))
     number = np.arange(len(images))
     order = {"sequence": np.zeros(len(images)), "sequence_index": number} if ordered else {}
     names = [f"{k:06d}" for k in number]
@@ -141,9 +179,7 @@ def match(
     settings = settings or MatchSettings()
     _, verification = colmap_options(Rules(settings, FeaturesTuning().verification))
     verification.compute_relative_pose = cameras is not None
-    one, two = cameras or [
-        pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 1.2 * max(f.size), *f.size) for f in (a, b)
-    ]
+    one, two = cameras or (_guessed(a.size), _guessed(b.size))
     tentative = matcher(settings)(a, b, "a", "b")
     points = [f.keypoints[:, :2].astype(float) for f in (a, b)]
     return Matches(
@@ -162,6 +198,50 @@ def reconstruct(
         _written(images, Path(folder) / "images")
         project = open_project(Path(folder) / "images", Path(folder) / "out", settings=settings, **inputs)
         return project.run(until="georef").model()
+
+
+def georeference(cam_from_world: np.ndarray, position_m: np.ndarray, sigma_m: np.ndarray | float) -> Georeference:
+    """The similarity from a model to measured positions of its cameras, robust, with sigmas.
+
+    cam_from_world (N, 4, 4) poses in model units; position_m (N, 3) of the camera centres, metres, z up; sigma_m, one
+    standard deviation, of all, (N,) or (N, 3). NaN = unknown. The errors are taken as independent; where the residuals
+    show them to be larger than stated, the sigmas follow. Raises InputError for arrays that do not fit together,
+    ReconstructionError with the reason where the positions do not place the model. The model keeps its shape: the
+    stage georef also adjusts it. Source: docstring of ``tiegraph.sfm.world``.
+    """
+    count = len(cam_from_world)
+    if np.shape(cam_from_world) != (count, 4, 4) or np.shape(position_m) != (count, 3):
+        shapes = f"{np.shape(cam_from_world)} and {np.shape(position_m)}"
+        raise InputError(f"poses (N, 4, 4) and positions (N, 3) are needed, got {shapes}")
+    try:
+        sigma = np.broadcast_to(sigma_m if np.ndim(sigma_m) != 1 else np.asarray(sigma_m)[:, None], (count, 3))
+    except ValueError:
+        raise InputError(f"sigmas {np.shape(sigma_m)}: one, (N,) or (N, 3) is needed, N = {count}") from None
+    if np.any(sigma <= 0):
+        raise InputError(f"a sigma of {np.nanmin(sigma):g} m: it must be above 0")
+    number = np.arange(count)
+    there = transforms.rigid(np.full((count, 3, 3), np.nan), np.asarray(position_m, float))
+    scene = simple_scene(
+        Rig("camera", (Sensor("camera"),)), [f"{k:06d}" for k in number], number, np.zeros(count),
+        world_from_rig=there, position_sigma_m=sigma, prior="trajectory",
+    )  # fmt: skip
+    tuning, poses = WorldTuning(), np.asarray(cam_from_world, float)
+    up = up_vector(poses, number, tuning.up)
+    placing = fit_to_world(Measured(poses, up, scene, GeorefSettings(), Measurements(), tuning))
+    if isinstance(placing, NotPlaced):
+        raise ReconstructionError(placing.why)
+    found, error = of_fit(placing), placing.fit.error
+    similarity, centres = found.world_from_model, placing.fit.similarity(transforms.centre(poses))
+    world = transforms.rigid(similarity.rotation @ np.swapaxes(poses[:, :3, :3], 1, 2), centres)
+    return Georeference(
+        world_from_model=similarity,
+        error=error,
+        cam_from_world=transforms.invert(world),
+        sigma_m=error.sigma(centres),
+        residuals_m=found.residuals.frames_m,
+        used=found.residuals.inlier,
+        notes=found.findings.notes,
+    )
 
 
 def depth(
@@ -203,6 +283,12 @@ def compare_clouds(
         return judge_cloud(
             points_of(one), points_of(two, "the reference"), Path(folder), question or Question(), EvaluateTuning()
         )
+
+
+def _guessed(size: tuple[int, int]) -> pycolmap.Camera:
+    """A camera of unknown focal length, as scan guesses it."""
+    focal = ScanTuning().rig.camera.guessed_focal * max(size)
+    return pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", focal, *size)
 
 
 def _grey(image: np.ndarray) -> np.ndarray:

@@ -8,6 +8,8 @@ import json
 import subprocess
 import threading
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -81,11 +83,14 @@ def test_files_that_end_early_or_have_no_room_leave_nothing(tmp_path: Path) -> N
 def test_nobody_else_gets_in(served: ServeServer) -> None:
     token = served.token
     assert ask(served, "GET", "")[0] == 200 and ask(served, "GET", "state")[0] == 200
-    for path in ("/", "/state", f"/{token}", f"/{token[:-1]}/state", "/x/state"):
+    for path in ("/", "/state", f"/{token}", f"/{token[:-1]}/state", "/x/state", "//x", f"/{token}x/", "/%ff/", "/[/"):
         status, said = ask(served, "GET", path)
-        assert status == 403 and token not in str(said)
-    assert ask(served, "GET", "state", Host="evil.example")[0] == 403
-    assert ask(served, "GET", "state", Origin="http://evil.example")[0] == 403
+        assert status == 403 and "open the address that the terminal shows" in said["error"] and token not in str(said)
+    assert ask(served, "POST", "/stop", b"{}")[0] == ask(served, "PUT", "/files/a.jpg", b"picture")[0] == 403
+    assert ask(served, "GET", "state", Host=served.hosts[1])[0] == 200, "localhost"
+    for wrong in ({"Host": "evil.example"}, {"Host": "127.0.0.1"}, {"Host": ""}, {"Origin": "http://evil.example"}):
+        status, said = ask(served, "GET", "state", **wrong)
+        assert status == 403 and "asked from elsewhere" in said["error"]
     start = b'{"options": {}, "until": "scan"}'
     for bad in ({"Origin": "http://evil.example"}, {"Content_Type": "text/plain"}, {"Host": "evil.example"}):
         assert ask(served, "POST", "start", start, **bad)[0] == 403
@@ -94,6 +99,22 @@ def test_nobody_else_gets_in(served: ServeServer) -> None:
     for path in ("../../etc/passwd", "design/../../images/a.jpg", "receipts/scan.json", "tiegraph.toml"):
         assert ask(served, "GET", path)[0] == 404
     assert not served.session.running and list(served.session.images.iterdir()) == []
+
+
+def test_the_address_that_a_browser_is_started_with_opens_the_page_once(
+    served: ServeServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr(served, "serve_forever", lambda: None)
+    monkeypatch.setattr(served, "server_close", lambda: None)
+    served.serve_until_interrupted(browser=True)
+    assert len(opened) == 1 and served.token not in opened[0], "other users see the arguments of a process"
+    page = (Path(__file__).parents[2] / "src" / "tiegraph" / "pipeline" / "serve.html").read_bytes()
+    with urllib.request.urlopen(opened[0]) as answer:
+        assert answer.url == served.url and answer.read() == page
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(opened[0])
 
 
 @pytest.mark.parametrize(

@@ -105,10 +105,12 @@ def test_the_server_serves_this_page_and_nobody_else(folder: Path, tmp_path: Pat
     Thread(target=server.serve_forever, daemon=True).start()
     host = f"127.0.0.1:{server.server_port}"
 
-    def ask(method: str, path: str, body: object = None, **headers: str) -> tuple[int, bytes]:
+    def ask(
+        method: str, path: str, body: object = None, token: str = server.token, **headers: str
+    ) -> tuple[int, bytes]:
         connection = HTTPConnection("127.0.0.1", server.server_port, timeout=20)
         sent = {"Host": host, **{n.replace("_", "-"): v for n, v in headers.items()}}
-        connection.request(method, path, None if body is None else json.dumps(body), sent)
+        connection.request(method, f"/{token}{path}", None if body is None else json.dumps(body), sent)
         answer = connection.getresponse()
         return answer.status, answer.read()
 
@@ -120,6 +122,9 @@ def test_the_server_serves_this_page_and_nobody_else(folder: Path, tmp_path: Pat
         assert ask("GET", "/state", Origin="http://evil.example")[0] == 403
         good = {"Origin": f"http://{host}", "Content_Type": "application/json"}
         mark = {"point": 0, "image": 1, "xy": [5.25, 6.5]}
+        for token in ("", "x", server.token[1:]):
+            assert ask("GET", "/state", token=token)[0] == ask("GET", "/image?k=0", token=token)[0] == 403
+            assert ask("POST", "/mark", mark, token, **good)[0] == 403
         assert ask("POST", "/mark", mark, Content_Type="application/json")[0] == 403, "no origin"
         assert ask("POST", "/mark", mark, Origin=f"http://{host}", Content_Type="text/plain")[0] == 403, "a form"
         status, state = ask("POST", "/mark", mark, **good)

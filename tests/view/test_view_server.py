@@ -38,15 +38,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def ask(folder: Path) -> Iterator[Ask]:
-    """Asks the server of a run: path, headers -> answer and its body."""
+    """Asks the server of a run: path below the token, headers -> answer and its body; ``token``: another."""
     (folder / "secret.txt").write_text("mine")
     server = ViewServer(as_run(folder))
     Thread(target=server.serve_forever, daemon=True).start()
 
-    def asked(path: str, **headers: str) -> tuple[HTTPResponse, bytes]:
+    def asked(path: str, token: str = f"/{server.token}", **headers: str) -> tuple[HTTPResponse, bytes]:
         connection = HTTPConnection("127.0.0.1", server.server_port, timeout=20)
         sent = {"Host": server.hosts[0], **{n.replace("_", "-"): v for n, v in headers.items()}}
-        connection.request("GET", path, headers=sent)
+        connection.request("GET", token + path, headers=sent)
         answer = connection.getresponse()
         return answer, answer.read()
 
@@ -97,9 +97,11 @@ def test_only_what_is_named_is_served(ask: Ask) -> None:
 
 
 @pytest.mark.slow
-def test_other_sites_are_refused(ask: Ask) -> None:
+def test_other_users_and_other_sites_are_refused(ask: Ask) -> None:
     for path in ("/", f"/{CLOUD}", "/image?k=0"):
         assert ask(path)[0].status == 200
+        for token in ("", "/", "/x", "/view.js/.."):
+            assert ask(path, token)[0].status == 403, "another user of the machine"
         assert ask(path, Host="evil.example:80")[0].status == 403, "a rebound name"
         assert ask(path, Origin="http://evil.example")[0].status == 403
         for site in ("cross-site", "same-site"):
@@ -112,7 +114,7 @@ def test_other_sites_are_refused(ask: Ask) -> None:
 @pytest.mark.slow
 def test_the_page_names_nothing_elsewhere(ask: Ask) -> None:
     page = ask("/")[1].decode()
-    assert set(re.findall(r'(?:src|href)="([^"]+)"', page)) == {"/view.js", "/licences.txt"} and "://" not in page
+    assert set(re.findall(r'(?:src|href)="([^"]+)"', page)) == {"view.js", "licences.txt"} and "://" not in page
     for path in ("/view.js", "/laz-perf.wasm", "/licences.txt"):
         assert ask(path)[0].status == 200
 

@@ -190,18 +190,22 @@ def server():
 
 
 def test_the_page_and_its_state_are_served_on_the_loopback(server):
-    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", server.url)
     assert urllib.request.urlopen(server.url).read() == page(None)
     server.show({"counts": {"images": 3}})
     assert json.load(urllib.request.urlopen(server.url + "state.json")) == {"counts": {"images": 3}}
-    for path, host, said in (("log.txt", None, "404"), ("../watch.npz", None, "404"), ("", "elsewhere.example", "403")):
-        request = urllib.request.Request(server.url + path, headers={} if host is None else {"Host": host})
+    bare = f"http://{server.hosts[0]}/"
+    for url, host, said in (
+        (f"{server.url}log.txt", None, "404"), (f"{server.url}../watch.npz", None, "404"),
+        (server.url, "elsewhere.example", "403"), (bare, None, "403"), (f"{bare}state.json", None, "403"),
+    ):  # fmt: skip
+        request = urllib.request.Request(url, headers={} if host is None else {"Host": host})
         with pytest.raises(urllib.error.HTTPError, match=said):
             urllib.request.urlopen(request)
 
 
 def test_a_port_that_is_taken_is_said(server):
-    port = int(server.url.rsplit(":", 1)[1].strip("/"))
+    port = server.server_port
     with refused(rf"--port {port}.*another, or 0"):
         WatchServer(port)
     with refused("--port 99999999"):

@@ -63,7 +63,7 @@ export class Cloud {
       if (answer.status !== 206) throw new Error(`${this.url}: ${answer.status} ${answer.statusText}`);
       return new Uint8Array(await answer.arrayBuffer());
     };
-    this.lazPerf = await createLazPerf({ locateFile: (name) => `/${name}` });
+    this.lazPerf = await createLazPerf({ locateFile: (name) => name });
     this.copc = await Copc.create(this.get);
     const { cube, rootHierarchyPage } = this.copc.info;
     const { nodes } = await Copc.loadHierarchyPage(this.get, rootHierarchyPage);

@@ -18,13 +18,13 @@ THREE.ColorManagement.enabled = false; // colours are shown as the files have th
 start().catch(say);
 
 async function start() {
-  const layers = await ask("/layers.json");
+  const layers = await ask("layers.json");
   document.title = `${layers.name}: tiegraph`;
   by("name").textContent = layers.name;
   by("about").textContent = `${layers.points.toLocaleString("en")} points, ${layers.cameras.length} images, ${layers.crs ?? "no CRS"}`;
   const planes = [1, -1].flatMap((sign) => [0, 1, 2].map((c) => new THREE.Plane(new THREE.Vector3().setComponent(c, sign), Infinity)));
   const stage = new Stage(by("view"), planes);
-  const cloud = new Cloud("/cloud.copc.laz", layers.middle, planes, (error) => { if (error) say(error); stage.draw(); });
+  const cloud = new Cloud("cloud.copc.laz", layers.middle, planes, (error) => { if (error) say(error); stage.draw(); });
   await cloud.open();
   cloud.look("colour");
   const cameras = new Cameras(layers.cameras);
@@ -201,7 +201,7 @@ function listen(layers, stage, cloud, cameras, planes) {
     stage.draw();
   };
   const pick = async (local) => {
-    const found = await ask(`/pick?at=${local}`);
+    const found = await ask(`pick?at=${local}`);
     const measuring = by("measure").checked && picks.length > 0;
     picks = measuring ? [picks.at(-1), found] : [found];
     by("distance").textContent = measuring ? await sayDistance(...picks, layers) : "";

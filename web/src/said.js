@@ -30,7 +30,7 @@ export function sayPlace(found, layers, open) {
 function patch({ image, xy, hidden }, layers, open) {
   const [left, top] = xy.map((v) => Math.round(v - PATCH / 2));
   const { name } = layers.cameras[image];
-  const picture = make("img", { src: `/patch?k=${image}&left=${left}&top=${top}&size=${PATCH}`, alt: name, loading: "lazy" });
+  const picture = make("img", { src: `patch?k=${image}&left=${left}&top=${top}&size=${PATCH}`, alt: name, loading: "lazy" });
   const figure = make("button", { title: name, onclick: () => open(image, xy) }, picture, cross([xy[0] - left, xy[1] - top], [PATCH, PATCH]));
   return make("figure", { className: hidden === null ? "pale" : "" }, figure, make("figcaption", { textContent: name }));
 }
@@ -46,7 +46,7 @@ function cross(at, size) {
 export function showImage(holder, number, xy, layers, goThere) {
   const { name, size } = layers.cameras[number];
   const close = () => { holder.hidden = true; holder.replaceChildren(); };
-  const frame = make("div", { className: "frame" }, make("img", { src: `/image?k=${number}&width=2048`, alt: name }));
+  const frame = make("div", { className: "frame" }, make("img", { src: `image?k=${number}&width=2048`, alt: name }));
   if (xy) frame.append(cross(xy, size));
   frame.style.aspectRatio = `${size[0]} / ${size[1]}`;
   frame.style.setProperty("--ratio", size[0] / size[1]);
@@ -61,7 +61,7 @@ export function showImage(holder, number, xy, layers, goThere) {
 
 export async function sayDistance(a, b, layers) {
   const sigmas = [a, b].map((p) => p.sigma.point ?? 0);
-  const { distance, sigma, level, height } = await ask(`/apart?at=${[...a.local, ...b.local]}&sigma=${sigmas}`);
+  const { distance, sigma, level, height } = await ask(`apart?at=${[...a.local, ...b.local]}&sigma=${sigmas}`);
   const said = (v) => length(v, layers.unit), about = sigma === null ? "" : ` ± ${said(sigma)}`;
   return `distance ${said(distance)}${about} · level ${said(level)} · height difference ${said(height)}`;
 }

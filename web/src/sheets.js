@@ -9,7 +9,7 @@ const floats = async (url) => {
 
 // A raster by its number: a mesh of the heights that are known, with the raster's colours.
 export async function sheet(number, planes) {
-  const [numbers, map] = await Promise.all([floats(`/mesh?k=${number}`), new THREE.TextureLoader().loadAsync(`/picture?k=${number}`)]);
+  const [numbers, map] = await Promise.all([floats(`mesh?k=${number}`), new THREE.TextureLoader().loadAsync(`picture?k=${number}`)]);
   const [rows, columns] = numbers, xyz = numbers.subarray(2);
   const uv = [], index = [];
   const known = (k) => Number.isFinite(xyz[3 * k]);
@@ -37,7 +37,7 @@ export async function sheet(number, planes) {
 }
 
 export async function contours(planes) {
-  const xyz = await floats("/contours");
+  const xyz = await floats("contours");
   const ends = [];
   for (let k = 0; k + 5 < xyz.length; k += 3)
     if (Number.isFinite(xyz[k]) && Number.isFinite(xyz[k + 3])) ends.push(...xyz.subarray(k, k + 6));

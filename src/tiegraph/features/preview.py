@@ -75,7 +75,7 @@ class Preview:
 @dataclass(frozen=True)
 class PreviewMatch:
     """Comparison of two previews: inliers of one essential matrix; cam_b_from_cam_a rotation (3, 3), None without
-    cameras; shift (2,) median motion of the inliers from a to b as a share of the image width and height; matches
+    inliers; shift (2,) median motion of the inliers from a to b as a share of the image width and height; matches
     (inliers, 2) u2 rows of a and of b."""
 
     inliers: int
@@ -148,21 +148,19 @@ def spread(cell: np.ndarray, response: np.ndarray, count: int) -> np.ndarray:
 def match_previews(
     a: Preview,
     b: Preview,
-    camera_a: pycolmap.Camera | None,
-    camera_b: pycolmap.Camera | None,
+    camera_a: pycolmap.Camera,
+    camera_b: pycolmap.Camera,
     settings: PreviewSettings,
     tuning: PreviewTuning,
 ) -> PreviewMatch:
     """Inliers of the essential matrix (five points, Nister 2004) of two previews.
 
-    An unknown camera is guessed: a fundamental matrix needs a third more inliers for the same false alarms. No rotation
-    is returned then.
+    A camera with a guessed focal length serves too: a fundamental matrix needs a third more inliers for the same false
+    alarms.
     """
     left, right = tentative(a, b, settings, tuning)
     if len(left) < tuning.least_matches:
         return PreviewMatch(0)
-    known = camera_a is not None and camera_b is not None
-    camera_a, camera_b = camera_a or guessed_camera(a, tuning), camera_b or guessed_camera(b, tuning)
     rays_a = on_plane(camera_a, a.xy[left])
     rays_b = on_plane(camera_b, b.xy[right])
     good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
@@ -177,17 +175,10 @@ def match_previews(
     matches = np.stack([left[good][inliers], right[good][inliers]], axis=1).astype(np.uint16)
     return PreviewMatch(
         inliers=len(matches),
-        rotation=rotation if known else None,
+        rotation=rotation,
         shift=np.median(share_b - share_a, axis=0),
         matches=matches,
     )
-
-
-def guessed_camera(preview: Preview, tuning: PreviewTuning) -> pycolmap.Camera:
-    """A pinhole of the guessed focal length."""
-    size = preview.width, preview.height
-    params = [tuning.guessed_focal * max(size), size[0] / 2, size[1] / 2]
-    return pycolmap.Camera(model="SIMPLE_PINHOLE", width=size[0], height=size[1], params=params)
 
 
 def tentative(

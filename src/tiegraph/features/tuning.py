@@ -24,9 +24,6 @@ class PreviewTuning(Section):
     """Confidence of the RANSAC to have met a sample without outliers."""
     trials: int = Field(200, gt=0)
     """Trials of the RANSAC, at most."""
-    guessed_focal: float = Field(1.0, gt=0)
-    """Focal length of an unknown camera, in longest sides of its image (1: 53 degrees). Measured on rendered images:
-    focal lengths wrong by 0.8 to 2.5 keep the same pairs."""
 
 
 class ContrastTuning(Section):

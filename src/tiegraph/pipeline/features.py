@@ -171,6 +171,7 @@ def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, t
     """The previews of two images matched."""
     scene = scene_of(folder)
     a, b = (scene.sensor_of(k).camera for k in pair)  # a guessed focal length serves as well
+    assert a is not None and b is not None  # of every sensor, by scan
     one, other = (preview_of(folder, scene.names[k]) for k in pair)
     return match_previews(one, other, a, b, settings, tuning)
 

@@ -1,13 +1,16 @@
 """The pages of ``tiegraph mark`` (images of the survey by number, marks as JSON), of ``tiegraph watch`` (what is known,
 as JSON) and of ``tiegraph view`` (a finished run), served on the loopback, and nothing else.
 
-Other sites that a browser has open must neither read nor write here: a request has to name this very server as its host
-(a name that is rebound to 127.0.0.1 does not), and what changes something has to be JSON from this very origin. What a
+Other users of the machine must neither read nor write here: the path of every address begins with a random token, which
+only the terminal shows. (A cookie would go to the servers of other users too: browsers do not tell ports apart.)
+Other sites that a browser has open must not either: a request has to name this very server as its host (a name that is
+rebound to 127.0.0.1 does not), and what changes something has to be of the right type and from this very origin. What a
 browser says to come from another site is refused, unless somebody follows a link there.
 """
 
 import json
 import re
+import secrets
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -17,7 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, unquote
 
 import cv2
 import numpy as np
@@ -53,6 +56,9 @@ class PageServer(ThreadingHTTPServer):
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
             raise InputError(f"--port {port}: not available ({error}); give another, or 0 for any") from error
+        self.token = secrets.token_urlsafe(24)
+        # Other users see the arguments of a browser that starts: its address is good for one request.
+        self.once = {secrets.token_urlsafe(24): True}
 
     @property
     def hosts(self) -> tuple[str, str]:
@@ -61,13 +67,13 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """The address of the page."""
-        return f"http://{self.hosts[0]}/"
+        """The address of the page, with its token."""
+        return f"http://{self.hosts[0]}/{self.token}/"
 
     def serve_until_interrupted(self, browser: bool) -> None:
         """Serve the page, opened in the ``browser`` or not, until Ctrl-C."""
         if browser:
-            webbrowser.open(self.url)
+            webbrowser.open(self.url.replace(self.token, next(iter(self.once))))
         try:
             self.serve_forever()
         except KeyboardInterrupt:
@@ -85,23 +91,25 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """What ``_answers`` has for the path: images and rasters go by their numbers in the query."""
-        if not self._allowed():
+        path = self._asked()
+        if path is None:
             return
         try:
-            asked = urlsplit(self.path)
-            answer = self._answers().get(asked.path)
+            answer = self._answers().get(path)
             if answer is None:
                 self._refuse(HTTPStatus.NOT_FOUND, "no such page")
             else:
-                answer({name: values[-1] for name, values in parse_qs(asked.query).items()})
+                answer({name: values[-1] for name, values in parse_qs(self.path.partition("?")[2]).items()})
         except (KeyError, IndexError, ValueError, OverflowError, TiegraphError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
+        """What each path below the token is answered by."""
         return {}
 
-    def _allowed(self, changes: str = "") -> bool:
-        """Whether a request comes from this page; ``changes``: the type of what it sends to change something."""
+    def _asked(self, changes: str = "") -> str | None:
+        """The path below the token, None if this request is answered already: refused, or the browser's first, which is
+        sent on to the page; ``changes``: the type of what a request sends to change something."""
         hosts = self.server.hosts
         good = self.headers.get("Host", "") in hosts
         if self.headers.get("Sec-Fetch-Mode") != "navigate":
@@ -111,10 +119,17 @@ class Handler(BaseHTTPRequestHandler):
             good &= origin in [f"http://{h}" for h in hosts]
         if changes:
             good &= self.headers.get("Content-Type", "").partition(";")[0] == changes
+        token, slash, path = unquote(self.path.partition("?")[0]).removeprefix("/").partition("/")
         if not good:
-            self.close_connection = True
-            self._refuse(HTTPStatus.FORBIDDEN, "asked from elsewhere")
-        return good
+            refused = "asked from elsewhere: only this page itself may ask, at 127.0.0.1 or localhost"
+        elif slash and secrets.compare_digest(token.encode(), self.server.token.encode()):
+            return path
+        elif self.server.once.pop(token, False):
+            return self._begin(0, _TEXT, HTTPStatus.SEE_OTHER, Location=f"/{self.server.token}/")
+        else:
+            refused = "the address lacks the token of this page: open the address that the terminal shows"
+        self.close_connection = True
+        return self._refuse(HTTPStatus.FORBIDDEN, refused)
 
     def _sent(self, most: int, wrong: str) -> bytes | None:
         """What a request sends, up to so many bytes; None if that is refused as ``wrong``."""
@@ -141,7 +156,8 @@ class Handler(BaseHTTPRequestHandler):
         for name, value in (
             ("Content-Type", kind), ("Content-Length", str(length)), ("Cache-Control", "no-store"),
             ("X-Content-Type-Options", "nosniff"), ("Content-Security-Policy", self.policy),
-            ("X-Frame-Options", "DENY"), *((n.replace("_", "-"), v) for n, v in more.items()),
+            ("X-Frame-Options", "DENY"), ("Referrer-Policy", "same-origin"),
+            *((n.replace("_", "-"), v) for n, v in more.items()),
         ):  # fmt: skip
             self.send_header(name, value)
         self.end_headers()
@@ -159,7 +175,7 @@ class WatchServer(PageServer):
         threading.Thread(target=self.serve_forever, daemon=True, name="watch-page").start()
 
     def show(self, state: dict[str, Any]) -> None:
-        """The content of ``/state.json`` from now on."""
+        """The content of ``state.json`` from now on."""
         self.state = json.dumps(state, separators=(",", ":")).encode()
 
     def close(self) -> None:
@@ -173,8 +189,8 @@ class _WatchHandler(Handler):
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
         return {
-            "/": lambda _: self._send(page(None), HTML),
-            "/state.json": lambda _: self._send(self.server.state, "application/json"),
+            "": lambda _: self._send(page(None), HTML),
+            "state.json": lambda _: self._send(self.server.state, "application/json"),
         }
 
 
@@ -191,11 +207,11 @@ class _MarkHandler(Handler):
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
         return {
-            "/": lambda _: self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), HTML),
-            "/state": lambda _: self._state(),
-            "/image": lambda q: self._send(_whole(self._pixels(q), q), "image/jpeg"),
-            "/size": lambda q: self._json(dict(zip(("height", "width"), self._pixels(q).shape))),
-            "/patch": lambda q: self._send(_patch(self._pixels(q), q), "image/png"),
+            "": lambda _: self._send(files("tiegraph.targets").joinpath("mark.html").read_bytes(), HTML),
+            "state": lambda _: self._state(),
+            "image": lambda q: self._send(_whole(self._pixels(q), q), "image/jpeg"),
+            "size": lambda q: self._json(dict(zip(("height", "width"), self._pixels(q).shape))),
+            "patch": lambda q: self._send(_patch(self._pixels(q), q), "image/png"),
         }
 
     def _state(self) -> None:
@@ -204,9 +220,8 @@ class _MarkHandler(Handler):
 
     def do_POST(self) -> None:
         """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
-        if not self._allowed("application/json"):
-            return
-        sent = self._sent(4096 if urlsplit(self.path).path == "/mark" else 0, "not a mark")
+        path = self._asked("application/json")
+        sent = None if path is None else self._sent(4096 if path == "mark" else 0, "not a mark")
         if sent is None:
             return
         try:
@@ -242,19 +257,19 @@ class _ViewHandler(Handler):
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
         viewed, page = self.server.viewed, files("tiegraph.view")
         return {
-            "/": lambda _: self._send(page.joinpath("page.html").read_bytes(), HTML),
-            "/view.js": lambda _: self._send(page.joinpath("view.js").read_bytes(), "text/javascript"),
-            "/laz-perf.wasm": lambda _: self._send(page.joinpath("laz-perf.wasm").read_bytes(), "application/wasm"),
-            "/licences.txt": lambda _: self._send(page.joinpath("licences.txt").read_bytes(), _TEXT),
-            f"/{CLOUD}": lambda _: self._file(viewed.path(CLOUD)),
-            "/layers.json": lambda _: self._json(viewed.layers()),
-            "/pick": lambda q: self._json(viewed.pick(_numbers(q["at"], 3))),
-            "/apart": lambda q: self._json(viewed.apart(_numbers(q["at"], 6).reshape(2, 3), _numbers(q["sigma"], 2))),
-            "/image": lambda q: self._send(_whole(viewed.pixels(int(q["k"])), q), "image/jpeg"),
-            "/patch": lambda q: self._send(_patch(viewed.pixels(int(q["k"])), q), "image/png"),
-            "/mesh": lambda q: self._send(viewed.mesh(int(q["k"])).tobytes(), _BYTES),
-            "/picture": lambda q: self._send(viewed.picture(int(q["k"])), "image/png"),
-            "/contours": lambda _: self._send(viewed.contours().tobytes(), _BYTES),
+            "": lambda _: self._send(page.joinpath("page.html").read_bytes(), HTML),
+            "view.js": lambda _: self._send(page.joinpath("view.js").read_bytes(), "text/javascript"),
+            "laz-perf.wasm": lambda _: self._send(page.joinpath("laz-perf.wasm").read_bytes(), "application/wasm"),
+            "licences.txt": lambda _: self._send(page.joinpath("licences.txt").read_bytes(), _TEXT),
+            CLOUD: lambda _: self._file(viewed.path(CLOUD)),
+            "layers.json": lambda _: self._json(viewed.layers()),
+            "pick": lambda q: self._json(viewed.pick(_numbers(q["at"], 3))),
+            "apart": lambda q: self._json(viewed.apart(_numbers(q["at"], 6).reshape(2, 3), _numbers(q["sigma"], 2))),
+            "image": lambda q: self._send(_whole(viewed.pixels(int(q["k"])), q), "image/jpeg"),
+            "patch": lambda q: self._send(_patch(viewed.pixels(int(q["k"])), q), "image/png"),
+            "mesh": lambda q: self._send(viewed.mesh(int(q["k"])).tobytes(), _BYTES),
+            "picture": lambda q: self._send(viewed.picture(int(q["k"])), "image/png"),
+            "contours": lambda _: self._send(viewed.contours().tobytes(), _BYTES),
         }
 
     def _file(self, path: Path) -> None:

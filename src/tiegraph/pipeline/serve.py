@@ -1,15 +1,11 @@
 """Glue of serving: one survey in the browser: its files arrive, a scan says what they are, a run is followed, stopped
 and gone on with. The run is a process of its own, the same that the terminal would start.
 
-The page is on the loopback, below an address that nobody can guess. Whoever does not know the token in the address
-learns nothing here, other users of the machine and other sites in the browser included; what changes something must
-also come from this very origin (``pages``). The cloud, once it is opened, is the page of ``tiegraph view``, which other
-users of the machine could open too.
+Nobody else gets in (``pages``). The cloud, once it is opened, is the page of ``tiegraph view``.
 """
 
 import json
 import os
-import secrets
 import shutil
 import signal
 import subprocess
@@ -17,12 +13,12 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
 from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
@@ -50,7 +46,7 @@ OPTIONS = {
 }  # fmt: skip
 _ONLY_FILES = ("gnss", "times", "gcp", "marks", "start")
 _MOST_JSON = 1 << 16  # bytes of what the page asks for
-_KINDS = {".png": "image/png", ".jpg": "image/jpeg"}
+_KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".html": HTML}
 _PICTURES = ("candidates", "network", "coarse", "design", "products", "evaluate")
 
 
@@ -238,7 +234,7 @@ class ServeServer(PageServer):
 
     def __init__(self, session: Session, port: int = 0) -> None:
         super().__init__(port, _ServeHandler)
-        self.session, self.token, self.lock = session, secrets.token_urlsafe(24), threading.Lock()
+        self.session, self.lock = session, threading.Lock()
         self._view: ViewServer | None = None
 
     def view(self) -> str:
@@ -252,43 +248,21 @@ class ServeServer(PageServer):
             threading.Thread(target=self._view.serve_forever, daemon=True, name="serve-view").start()
             return self._view.url
 
-    @property
-    def url(self) -> str:
-        """Where the page is, with its token."""
-        return f"{super().url}{self.token}/"
-
 
 class _ServeHandler(Handler):
     server: ServeServer
 
-    def _asked(self, changes: str = "") -> str | None:
-        """The path below the token, None if this request is refused; ``changes``: the type of what it sends."""
-        if not self._allowed(changes):
-            return None
-        path = unquote(urlsplit(self.path).path)
-        token, slash, rest = path.removeprefix("/").partition("/")
-        if not slash or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            self.close_connection = True
-            self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: open the one that the terminal shows")
-            return None
-        return rest
+    def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
+        session, page = self.server.session, files("tiegraph.pipeline").joinpath("serve.html")
+        made = {name: session.out / name for name in ("report.html", *session.pictures())}
+        return {
+            "": lambda _: self._send(page.read_bytes(), HTML),
+            "state": lambda _: self._json(session.state()),
+            **{name: partial(self._made, path) for name, path in made.items() if path.is_file()},
+        }
 
-    def do_GET(self) -> None:
-        path = self._asked()
-        session = self.server.session
-        if path is None:
-            return
-        if path == "":
-            self._send(files("tiegraph.pipeline").joinpath("serve.html").read_bytes(), HTML)
-        elif path == "state":
-            self._json(session.state())
-        elif path == "report.html" and (session.out / path).is_file():
-            self._send((session.out / path).read_bytes(), HTML)
-        elif path in session.pictures():
-            target = session.out / path
-            self._send(target.read_bytes(), _KINDS[target.suffix])
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+    def _made(self, path: Path, _: dict[str, str]) -> None:
+        self._send(path.read_bytes(), _KINDS[path.suffix])
 
     def do_PUT(self) -> None:
         """A file of the survey, files/<its path below the folder of images>."""
@@ -310,9 +284,8 @@ class _ServeHandler(Handler):
     def do_POST(self) -> None:
         """Start ({"options": {...}, "until": stage or null}) or stop the run: the state; or show the cloud: where."""
         path = self._asked("application/json")
-        if path is None:
-            return
-        sent = self._sent(_MOST_JSON if path in ("start", "stop", "view") else 0, "neither start, stop nor view")
+        most = _MOST_JSON if path in ("start", "stop", "view") else 0
+        sent = None if path is None else self._sent(most, "neither start, stop nor view")
         if sent is None:
             return
         try:

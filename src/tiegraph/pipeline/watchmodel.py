@@ -76,9 +76,10 @@ def matched(pairs: np.ndarray, scene: Scene, folder: Path, settings: Settings) -
     found = []
     for a, b in pairs.tolist():
         previews = preview_of(folder, scene.names[a]), preview_of(folder, scene.names[b])
-        cameras = scene.sensor_of(a).camera, scene.sensor_of(b).camera
+        one, two = scene.sensor_of(a).camera, scene.sensor_of(b).camera
+        assert one is not None and two is not None
         how = settings.preview, settings.tuning.features.preview
-        found.append(match_previews(*previews, *cameras, *how).matches)
+        found.append(match_previews(*previews, one, two, *how).matches)
     return PreviewMatches.make(pairs[:, 0], pairs[:, 1], found)
 
 

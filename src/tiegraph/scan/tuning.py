@@ -17,7 +17,7 @@ class CameraTuning(Section):
 
     guessed_focal: float = Field(1.2, gt=0)
     """Focal length in longer sides of the image: COLMAP's ImageReaderOptions.default_focal_length_factor, a guess of 45
-    degrees of view."""
+    degrees of view. Focal lengths wrong by 0.8 to 2.5 keep the same pairs of previews (rendered images)."""
     guessed_fisheye_deg: float = Field(180.0, gt=0, le=360)
     """Assumed field of view across a fisheye image, if its circle does not show."""
 

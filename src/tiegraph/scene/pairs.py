@@ -20,7 +20,7 @@ from tiegraph.scene.sorting import Arrays, Columns, blocks, freeze, spread, unit
 from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, split_cells, text_of
 from tiegraph.text import csv_text
 
-SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model")
+SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model", "plugin")
 # Why a pair was dropped, in the order of the filters: words and colour for reports and pictures.
 REASON_LOOKS = {
     "kept": ("kept", "#1b6ca8"),
@@ -53,10 +53,10 @@ def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
 class Pairs(Columns, Arrays):
     """P pairs of images i < j, sorted and unique; columns (P,), read-only.
 
-    ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
-    (between previewed frames of a pass estimated from them; NaN = unknown), ``overlap`` the predicted share of the
-    surface in one image that the other also sees (larger of the two directions), ``inliers`` the verified matches at
-    full resolution (-1 = not matched). Lengths in metres when the poses are metric.
+    ``source`` is a bit set over SOURCES (plugin: another package's), ``dropped`` an index into REASONS (0 = kept),
+    ``score`` the preview matches (between previewed frames of a pass estimated from them; NaN = unknown), ``overlap``
+    the predicted share of the surface in one image that the other also sees (larger of the two directions), ``inliers``
+    the verified matches at full resolution (-1 = not matched). Lengths in metres when the poses are metric.
     """
 
     i: np.ndarray
