@@ -227,7 +227,9 @@ def georeference(cam_from_world: np.ndarray, position_m: np.ndarray, sigma_m: np
     )  # fmt: skip
     tuning, poses = WorldTuning(), np.asarray(cam_from_world, float)
     up = up_vector(poses, number, tuning.up)
-    placing = fit_to_world(Measured(poses, up, scene, GeorefSettings(), Measurements(), tuning))
+    placing = fit_to_world(
+        Measured(images=poses, up=up, scene=scene, settings=GeorefSettings(), given=Measurements(), tuning=tuning)
+    )
     if isinstance(placing, NotPlaced):
         raise ReconstructionError(placing.why)
     found, error = of_fit(placing), placing.fit.error
