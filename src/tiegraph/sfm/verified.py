@@ -226,8 +226,7 @@ def tears(
 
     ``agreed`` (P, 3) as by ``agreement``. Frames at most ``tuning.near_steps`` apart are compared, without
     ``doubtful`` ones, whose own place is wrong. Consecutive frames see the same surface, so the model must explain
-    most of their matches: right models of five sets 0.8 and more, three where a wall that repeats put one half of a
-    canal elsewhere 0 to 0.15.
+    most of their matches.
     """
     order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
     place, passes = np.argsort(order), np.stack([scene.sequence, scene.rig])
@@ -241,7 +240,7 @@ def tears(
     np.add.at(across, a[near], votes)
     np.add.at(across, b[near], -votes)
     right, all_ = np.cumsum(across, axis=0)[:-1].T
-    torn = np.flatnonzero((all_ >= tuning.min_votes) & (right < tuning.agrees * all_))
+    torn = np.flatnonzero((all_ >= tuning.min_votes) & (right < tuning.torn * all_))
     return [(int(order[k]), int(order[k + 1]), round(right[k]), round(all_[k])) for k in torn]
 
 

@@ -34,6 +34,10 @@ class ConsistencyTuning(Section):
     seven frames of a nuScenes drive were in doubt by 55 to 54."""
     near_steps: int = Field(2, gt=0)
     """Frames of a pass: images this close to each other show whether a model is torn between them."""
+    torn: float = Field(0.25, ge=0, le=1)
+    """Share of their matches that a model explains, below which it is torn there: right models of five sets 0.8 and
+    more, 0.44 at the longest step of a diving robot; 0 to 0.15 where a wall that repeats put one half of a canal
+    elsewhere (three models)."""
     least_positions: int = Field(3, gt=0)
     """Measured positions of a part, and of the rest, that decide between two places."""
 
