@@ -30,7 +30,6 @@ from tiegraph.sfm.verified import VerifiedMatches, read_verified
 
 _log = logging.getLogger(__name__)
 
-
 TRIED = np.geomspace(0.25, 4.0, 57)
 """Focal lengths that are tried, in longer sides of the image: 127 to 14 degrees of view, in steps of 5 %."""
 _SAMPLES = 100  # of the bootstrap
@@ -47,11 +46,13 @@ def with_focal_lengths(
     keep their guess.
     """
     rigs, notes, unknown = list(scene.rigs), [], list(_unknown(scene))
-    verified = read_verified(database, scene, refused) if unknown else None
+    if not unknown:
+        return scene, []
+    verified = read_verified(database, scene, refused)
     for index, sensors in unknown:
         camera = cast(pycolmap.Camera, rigs[index].sensors[sensors[0]].camera)
         size, first = (camera.width, camera.height), scene.first_sensor(index)
-        pairs = _pairs(scene, cast(VerifiedMatches, verified), [first + k for k in sensors], tuning)
+        pairs = _pairs(scene, verified, [first + k for k in sensors], tuning)
         found = focal_length(pairs, size, tuning)
         if found is None:
             continue
