@@ -13,9 +13,9 @@ from filter_world import rig as ring_of
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.filter.filter import Prior, filter_pairs, held_by_rig
+from tiegraph.filter.filter import Prior, filter_pairs
 from tiegraph.filter.settings import FilterSettings
-from tiegraph.filter.tuning import PriorTuning, Tuning
+from tiegraph.filter.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.course import off_course_deg
@@ -110,7 +110,7 @@ def test_refused_pairs_are_left_out(tmp_path):
     assert len(ViewGraph(source, scene, 15).pairs) == 3
 
 
-TUNING, COURSE = PriorTuning(), CourseTuning()
+COURSE = CourseTuning()
 
 
 def two_views(shift_m: float = 0.0, base_m: float = 12.0) -> tuple[np.ndarray, ...]:
@@ -146,19 +146,6 @@ def test_a_repeated_wall_is_off_course_though_on_its_epipolar_line(shift_m: floa
     assert np.degrees(np.arcsin(sine)).max() < 0.1
 
 
-def rig_poses(blind: list[int], frames: int = 5) -> tuple:
-    """A scene of a rig of four, its prior at the true extrinsics with the reach of images ``blind`` unknown."""
-    scene = world(frames=frames).scene
-    poses = []
-    for f, s in zip(scene.frame, scene.sensor):
-        turn = Rotation.from_euler("y", 180 * (f == frames - 1), degrees=True).as_matrix()
-        body = transforms.rigid(turn, np.array([1.5 * f, 0.0, 0.0]))
-        poses.append(scene.rigs[0].sensors[s].sensor_from_rig @ transforms.invert(body))
-    reach = np.tile([4.0, 20.0], (len(scene), 1))
-    reach[blind] = np.nan
-    return scene, Prior(np.stack(poses), reach)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong_deg", [0.0, 40.0])
 def test_pairs_of_an_image_that_the_model_has_at_a_wrong_place_are_not_refused_for_it(tmp_path, wrong_deg) -> None:
@@ -182,32 +169,3 @@ def test_parts_that_a_model_has_put_together_wrongly_are_not_parted_for_it(tmp_p
     kept = result.pairs.kept()
     assert result.counts["refused"] == 0 and np.any((kept.i < 10) != (kept.j < 10))
     assert "are the only ties of parts of it" in result.notes[0]
-
-
-def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
-    """A mounting that is off counts as far as the images are turned."""
-    scene, _ = rig_poses([])
-    ahead, blind, *_, back = np.flatnonzero(scene.sensor == 2).tolist()
-    scene, prior = rig_poses([blind])
-    wide = held_by_rig(prior, scene, TUNING, COURSE)
-    assert wide.known().all() and not prior.known()[blind]
-    assert wide.reach[blind].tolist() == [4.0 / COURSE.any_distance, 20.0 * COURSE.any_distance]
-    assert np.flatnonzero(wide.mount_deg).tolist() == [blind]
-    other, own = int(np.flatnonzero(scene.sensor == 0)[0]), COURSE.tolerance_deg
-    for ends, same, mounts in (
-        ((blind, ahead), True, 0), ((back, blind), True, 2), ((blind, other), False, 1), ((ahead, other), False, 0)
-    ):  # fmt: skip
-        assert wide.tolerance_deg(*ends, same, own) == pytest.approx(own + mounts * TUNING.mount_deg)
-    assert prior.tolerance_deg(ahead, back, True, own) == own
-
-
-@pytest.mark.slow
-def test_images_without_points_are_not_judged_if_their_sensor_or_frame_is_not_held() -> None:
-    scene, whole = rig_poses([])
-    assert held_by_rig(whole, scene, TUNING, COURSE) is whole
-    third, frame = np.flatnonzero(scene.sensor == 2), np.flatnonzero(scene.frame == 1)
-    for blind in (third[:3], frame):
-        scene, prior = rig_poses(blind.tolist())
-        assert not held_by_rig(prior, scene, TUNING, COURSE).known()[blind].any()
-    scene, none = rig_poses(list(range(len(scene))))
-    assert not held_by_rig(none, scene, TUNING, COURSE).known().any()

@@ -30,7 +30,7 @@ from tiegraph.sfm.tuning import MappingTuning, ShutterTuning, Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 from tiegraph.sfm.verified import ViewGraph
 
-ENOUGH = Tuning().adjust.enough_seen
+ENOUGH, SCALE = Tuning().adjust.enough_seen, Tuning().start.scale
 TUNING = SupportTuning()
 
 
@@ -68,8 +68,8 @@ def test_a_sensor_without_ties_is_found_and_its_ties_listed(world) -> None:
 def test_scale_by_positions_and_by_baselines(world) -> None:
     truth, scene = world
     metric = with_positions(scene, 3.0 * true_frames(truth, scene)[:, :3, 3], 0.01)
-    assert units_per_metre(truth, metric, Tuning()) == pytest.approx(1 / 3, rel=0.02)
-    assert units_per_metre(truth, scene, Tuning()) == pytest.approx(1.0, rel=1e-6)
+    assert units_per_metre(truth, metric, SCALE) == pytest.approx(1 / 3, rel=0.02)
+    assert units_per_metre(truth, scene, SCALE) == pytest.approx(1.0, rel=1e-6)
 
 
 def test_its_place_is_as_given(world) -> None:
@@ -80,7 +80,7 @@ def test_its_place_is_as_given(world) -> None:
     sensors = (scene.rigs[0].sensors[0], replace(sensor, sensor_from_rig=moved), *scene.rigs[0].sensors[2:])
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=sensors),))
     metric = with_positions(given, true_frames(truth, scene)[:, :3, 3] / 2.0, 0.01)
-    place_as_given(truth, metric, (1,), Tuning())
+    place_as_given(truth, metric, (1,), SCALE)
     found = model_rigs(truth, scene)[0].sensors
     assert np.allclose(found[1].sensor_from_rig[:3, :3], moved[:3, :3], atol=1e-9)
     assert np.allclose(found[1].sensor_from_rig[:3, 3], 2.0 * moved[:3, 3], rtol=0.02)
@@ -306,7 +306,7 @@ def test_a_global_shutter_stays_one(tmp_path: Path) -> None:
     assert not any("rolling" in n for n in finished(model, scene, tmp_path / "auto", None).notes)
     least = Readout(seconds=-0.02, sigma=0.003, gain=0.002, step=-0.01, gap_s=0.2)
     assert least.there(TUNING_SHUTTER) and str(least) == "-20.0 ms (sigma 3.0)"
-    for change in ({"sigma": 0.005}, {"gain": 0.0005}, {"seconds": 0.004, "sigma": 0.0001}, {"seconds": 0.2}):
+    for change in ({"sigma": 0.0065}, {"gain": 0.0005}, {"seconds": 0.004, "sigma": 0.0001}, {"seconds": 0.2}):
         assert not replace(least, **change).there(TUNING_SHUTTER)
     assert not least.clear(TUNING_SHUTTER) and replace(least, gain=0.03).clear(TUNING_SHUTTER)
     assert not replace(least, gain=0.03, gap_s=0.5).clear(TUNING_SHUTTER)

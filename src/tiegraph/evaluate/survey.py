@@ -30,7 +30,7 @@ from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.colmapmodel import Registration
-from tiegraph.scene.evidence import RARELY, fits_better
+from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.scene.results import Figure, Metric, metrics_to_dict
 from tiegraph.scene.scene import Scene
 
@@ -262,7 +262,7 @@ def against_cloud(figure: Figure) -> list[str]:
 
 def beyond(figure: Figure) -> bool:
     """Whether what was measured contradicts what was predicted; never where one of them is not known."""
-    return figure.measured > 3 * figure.predicted
+    return figure.measured > LIMIT * figure.predicted
 
 
 def _said(figure: Figure, metric: bool) -> str:

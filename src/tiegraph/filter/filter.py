@@ -4,7 +4,7 @@ The coarse model, though rough, shows more than loops: a wall that repeats along
 with the right rotation and on the right epipolar lines, but at impossible distances.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from tiegraph.filter.loops import Map, Matches, by_loops, forget
 from tiegraph.filter.settings import FilterSettings
 from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms
-from tiegraph.scene.course import any_reach, off_course_deg
+from tiegraph.scene.course import off_course_deg
 from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -27,40 +27,10 @@ class Prior:
 
     cam_from_world: np.ndarray
     reach: np.ndarray
-    mount_deg: np.ndarray | None = None  # (N,) possible rotation error of an image in its rig; None = none
-
-    def tolerance_deg(self, i: int, j: int, same_sensor: bool, least_deg: float) -> float:
-        """Tolerance of a true match of two images from its course. For one sensor the error of its mounting cancels
-        unless the images are rotated against each other: below a bridge two passes are, by half a turn."""
-        if self.mount_deg is None:
-            return least_deg
-        turn = transforms.angle_deg(self.cam_from_world[i, :3, :3], self.cam_from_world[j, :3, :3])
-        lever = 2 * np.sin(np.radians(turn) / 2) if same_sensor else 1.0
-        return float(least_deg + lever * max(self.mount_deg[i], self.mount_deg[j]))
 
     def known(self) -> np.ndarray:
         """(N,) bool: images it can judge."""
         return np.all(np.isfinite(self.cam_from_world), axis=(1, 2)) & np.all(np.isfinite(self.reach), axis=1)
-
-
-def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning, course: CourseTuning) -> Prior:
-    """The prior with any distance as the reach of images that see too few points for theirs, but whose pose is
-    known: by the others of their frame, if most images of their sensor see points.
-
-    An up camera below a bridge is such a case. Loops hardly test it: few images tie to it, and the beams of
-    one bridge are alike. On ``canal`` four of the five remaining false pairs have at most 7 % of their matches on
-    course at any distance, the thirteen true ones 55 % and more; the fifth is of two passes: a wider tolerance.
-    """
-    placed, known = np.isfinite(prior.cam_from_world).all(axis=(1, 2)), prior.known()
-    if not known.any() or known[placed].all():
-        return prior
-    beside = np.bincount(scene.frame[known], minlength=scene.frames)[scene.frame] > 0
-    sensors = len(scene.all_sensors)
-    seeing, of = (np.bincount(scene.sensor_key[m], minlength=sensors) for m in (known, placed))
-    told = (seeing >= tuning.min_seeing * of)[scene.sensor_key]
-    held = placed & ~known & beside & told
-    reach = np.where(held[:, None], any_reach(prior.reach[known], course), prior.reach)
-    return replace(prior, reach=reach, mount_deg=np.where(held, tuning.mount_deg, 0.0))
 
 
 def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: CourseTuning) -> float:
@@ -71,8 +41,7 @@ def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: Cou
         return float("nan")
     j_from_i = prior.cam_from_world[j] @ transforms.invert(prior.cam_from_world[i])
     off = off_course_deg(a, b, j_from_i, (prior.reach[i], prior.reach[j]), tuning)
-    same = bool(matches.sensor[i] == matches.sensor[j])
-    return float(np.mean(off <= prior.tolerance_deg(i, j, same, tuning.tolerance_deg)))
+    return float(np.mean(off <= tuning.tolerance_deg))
 
 
 @dataclass(frozen=True)
@@ -141,7 +110,6 @@ def _by_prior(
     contradicts all pairs between them.
     """
     tuning, course = tunings
-    prior = held_by_rig(prior, scene, tuning, course)
     known = prior.known()
     asked, refused = np.zeros((2, len(pairs)), bool)
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])

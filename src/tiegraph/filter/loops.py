@@ -29,9 +29,11 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.filter.tuning import LoopTuning
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import MAD
 from tiegraph.geometry.transforms import cross
 from tiegraph.scene.atomic import cached_by_file
 from tiegraph.scene.colmapdatabase import Rows
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import camera_from_dict, camera_to_dict, pixel_rays
 from tiegraph.scene.scene import Scene
@@ -249,7 +251,7 @@ def by_loops(
     told = np.isfinite(residual_deg) & reliable
     basis = told & near if np.any(told & near) else told
     spread = float(np.median(residual_deg[basis])) if basis.any() else 0.0
-    tolerance = max(tuning.max_deg, tuning.sigmas * spread)
+    tolerance = max(tuning.max_deg, LIMIT * MAD * spread)
     off = (weight > 0) & ~(residual_deg < tolerance)
     refused, undecided = (np.zeros(len(pairs), bool) for _ in range(2))
     undecided[outside] = off & ~reliable

@@ -30,8 +30,6 @@ class LoopTuning(Section):
     """Geman-McClure kernel of the robust least squares."""
     noisy_deg: float = Field(10.0, gt=0)
     """A tolerance wider than this decides nothing."""
-    sigmas: float = Field(5.0, gt=0)
-    """Tolerance of a true tie from the loops, in their median residual."""
     neighbour_weight: float = Field(2.0, gt=0)
     """Weight of ties between neighbours of a pass, over their support."""
     neighbour_steps: int = Field(2, ge=0)
@@ -41,10 +39,6 @@ class LoopTuning(Section):
 class PriorTuning(Section):
     """The coarse model as judge of pairs (`filter.py`)."""
 
-    min_seeing: float = Field(0.5, ge=0, le=1)
-    """Share of a sensor's images that see points, from which its place in the rig is the model's own."""
-    mount_deg: float = Field(1.5, ge=0)
-    """Possible error of a mounting without points: the up camera of canal_demo 1 to 1.5 by a wrong focal length."""
     max_refused: float = Field(0.2, ge=0, le=1)
     """Share of the judged pairs: a model that contradicts more of them is wrong itself."""
     max_refused_image: float = Field(0.5, ge=0, le=1)

@@ -22,6 +22,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import CAUCHY_SIGMAS, MAD, Similarity, l1_mean_rotation, rms_length
 from tiegraph.lidar.pointtie import PointTie
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.sorting import Columns
 
 _TURN, _PLACE, _SCALE, _CLOCK = slice(0, 3), slice(3, 6), 6, 7  # of the parameters
@@ -117,7 +118,7 @@ def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie) -> HandEye:
     off = np.degrees(Rotation.from_matrix(each[:, :3, :3] @ turn.T).magnitude())
     turn_sigma = np.full(3, np.hypot(tie.turn_sigma_deg, np.median(off) / alike))
     both = np.hypot(found.place_sigma_m, place_sigma)
-    apart = np.abs(place - found.rig_from_lidar[:3, 3]) > 4 * both
+    apart = np.abs(place - found.rig_from_lidar[:3, 3]) > LIMIT * both
     if apart.any() or not place_sigma.max() < found.place_sigma_m.max():
         return found
     return replace(

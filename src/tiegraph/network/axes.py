@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning import CommonViewTuning, RigTuning, Tuning
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 
 PAIRS_NAMED = 8
@@ -90,7 +91,7 @@ def direction(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning)
     m, n = scores.rows - share.sum(axis=1) @ scores.rows, scores.columns - share.sum(axis=0) @ scores.columns
     spread = float(np.sqrt((m**2 @ share.sum(axis=1)) * (n**2 @ share.sum(axis=0))))
     correlation = float(m @ share @ n) / max(spread, 1e-12)
-    return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= tuning.direction_sigmas
+    return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= LIMIT
 
 
 def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | None:
@@ -107,7 +108,7 @@ def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | N
     cosine = np.cos(np.radians(angles_deg(p.rig, best)))
     mean = float(np.sum(evidence * cosine) / evidence.sum())
     sigma = float(cosine[level].std()) / np.sqrt(votes(excess[level]))
-    return best if mean - float(cosine[level].mean()) >= tuning.common_view.yaw_sigmas * sigma > 0 else None
+    return best if mean - float(cosine[level].mean()) >= LIMIT * sigma > 0 else None
 
 
 def in_words(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:

@@ -22,8 +22,8 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.visible import pair_share
 from tiegraph.network.passes import Context, Pass
 from tiegraph.network.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
-from tiegraph.network.tuning import PosesTuning
-from tiegraph.scene.evidence import RARELY, mostly_more
+from tiegraph.network.tuning import PriorTuning
+from tiegraph.scene.evidence import LIMIT, RARELY, mostly_more
 from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
@@ -89,7 +89,7 @@ def check_prior(context: Context, result: PoseResult) -> PriorCheck:
     sides = (sample.proposed, sample.proposed & sample.tied, ~sample.proposed, ~sample.proposed & sample.tied)
     table = np.stack([np.bincount(sample.kind[side], minlength=len(KINDS)) for side in sides], axis=1)
     there = np.flatnonzero(table.any(axis=1))
-    bad = [k for k in there if not _tells(table[k], table.sum(axis=0) - table[k], tuning)]
+    bad = [k for k in there if not _tells(table[k], table.sum(axis=0) - table[k], tuning.prior)]
     fit, better = _readings(context, sample, result.range_m)
     apart = bad == [OTHER_PASS] and not better.names and bool((scene.sequence >= 0).all())
     notes = _notes(table[there], [KINDS[k] for k in there], [KINDS[k] for k in bad], fit, better)
@@ -141,16 +141,16 @@ def _sample(context: Context, pairs: Pairs, sure: float) -> _Sample:
     return _Sample(i=i, j=j, proposed=offered[take], kind=kind[take], count=count, tied=count >= sure)
 
 
-def _tells(counts: np.ndarray, others: np.ndarray, poses: PosesTuning) -> bool:
+def _tells(counts: np.ndarray, others: np.ndarray, tuning: PriorTuning) -> bool:
     """Whether refused pairs of a kind tie much more rarely than proposed ones, or if hardly any is proposed, not more
     often than refused ones of the ``others``; yes with too few pairs or ties. Both (4,) as in the table."""
-    (proposed, tied, refused, lost), tuning = counts.tolist(), poses.prior
+    proposed, tied, refused, lost = counts.tolist()
     if refused < tuning.enough or tied + lost < tuning.few_ties:
         return True
     if proposed < tuning.enough:
         more = _significance((lost, refused), (others[3], others[2]))
-        return others[2] < tuning.enough or more < tuning.lost_sigmas
-    significant = _significance((tied, proposed), (lost, refused)) > poses.sigmas
+        return others[2] < tuning.enough or more < LIMIT
+    significant = _significance((tied, proposed), (lost, refused)) > LIMIT
     return significant and lost / refused < tuning.bad_ratio * tied / proposed
 
 

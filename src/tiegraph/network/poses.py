@@ -18,6 +18,7 @@ from tiegraph.network.coarse.visible import Overlap, shared_surface
 from tiegraph.network.passes import Pass, image_table
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import PosesTuning, Tuning
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.scene import Scene
 
@@ -252,7 +253,7 @@ def _tests(
     # (K,) standard deviation of the distance of image pairs, with the drift of the path between them
     drifted = tuning.drift * np.abs(views.path_m[i] - views.path_m[j])
     sigma = np.sqrt(views.sigma_m[i] ** 2 + views.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
-    noise = tuning.sigmas * sigma
+    noise = LIMIT * sigma
     axis = views.axis()
     # Without orientation only the number of neighbours limits the distance (as in COLMAP's spatial matching).
     oriented = np.isfinite(axis[i]).all(axis=1) & np.isfinite(axis[j]).all(axis=1)
@@ -285,7 +286,7 @@ def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.
         if not unknown.any() or len(p) < 2:
             continue
         sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[p.frames], axis=1, initial=0.0))
-        noise = 4.0 * np.maximum(sigma, 1e-3)
+        noise = LIMIT * np.maximum(sigma, 1e-3)
         for k in np.flatnonzero(unknown):
             way = _direction(where, noise, int(k))
             if way is not None and np.isfinite(where[k]).all():

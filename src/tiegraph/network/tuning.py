@@ -197,10 +197,6 @@ class CommonViewTuning(Section):
     """Effective number of nodes with a common view that is needed ..."""
     least_share: float = Field(0.02, ge=0, le=1)
     """... or their share of the previewed nodes: enough where passes are short."""
-    yaw_sigmas: float = Field(4.0, ge=0)
-    """Standard deviations above cameras paired at random, the best of 30 yaws."""
-    direction_sigmas: float = Field(3.0, ge=0)
-    """Standard deviations of a rank correlation."""
     whole: float = Field(0.9, ge=0, le=1)
     """Share of a pass above which the frames in common are not named."""
     rim: float = Field(0.05, ge=0, lt=1)
@@ -275,8 +271,6 @@ class PriorTuning(Section):
     """Pairs proposed and refused that are needed for a verdict."""
     bad_ratio: float = Field(0.6, ge=0)
     """Ratio to the ties among the proposed pairs: a prior whose refused pairs tie more often tells nothing."""
-    lost_sigmas: float = Field(2.5, ge=0)
-    """Standard deviations by which refused pairs of a kind with hardly any proposed one may tie more often."""
     few_ties: int = Field(8, gt=0)
     """Ties among both that are needed for a verdict on a kind of pairs."""
     better: float = Field(0.04, ge=0)
@@ -304,9 +298,6 @@ class PosesTuning(Section):
     """Nearest frames of a frame that are tested ..."""
     drift: float = Field(0.01, ge=0)
     """Error of a trajectory without given accuracy, as a share of the path between two frames (odometry: about 1 %)."""
-    sigmas: float = Field(2.0, ge=0)
-    """Standard deviations that count: by which a base must be too long or too short to be refused, and by which a
-    prior's refused pairs must tie more rarely than the proposed ones."""
     guessed_view_deg: float = Field(70.0, gt=0, lt=180)
     """Field of view of a camera with a guessed focal length and without a neighbour on its rig."""
     prior: PriorTuning = Field(default_factory=PriorTuning)

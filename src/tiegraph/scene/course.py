@@ -20,12 +20,6 @@ def off_course_deg(
     return np.maximum(there, _one_way_deg(b, a, transforms.invert(b_from_a), reach[1], tuning))
 
 
-def any_reach(reach: np.ndarray, tuning: CourseTuning) -> tuple[float, float]:
-    """The reach (2,) of an image that sees no point, but whose pose is known, from those (N, 2) of others, NaN =
-    unknown."""
-    return float(np.nanmin(reach[:, 0]) / tuning.any_distance), float(np.nanmax(reach[:, 1]) * tuning.any_distance)
-
-
 def _one_way_deg(
     a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: np.ndarray, tuning: CourseTuning
 ) -> np.ndarray:

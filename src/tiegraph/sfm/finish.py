@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import lens
@@ -85,7 +86,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     if checked.statements:
         out.tables["given values and images compared"] = statement_table(checked.statements)
     if request.held.unsupported:
-        place_as_given(checked.model, scene, request.held.unsupported, tuning)
+        place_as_given(checked.model, scene, request.held.unsupported, tuning.start.scale)
     given = {k: s.camera for k, s in enumerate(scene.all_sensors, start=1) if s.camera is not None}
     out.notes += [
         f"{scene.all_sensors[k - 1].name} keeps its intrinsics, given or guessed: its points do not determine them"
@@ -139,7 +140,7 @@ def _adjusted(mapped: pycolmap.Reconstruction, request: FinishRequest) -> Checke
     out, held = Checked(model=mapped), request.held
     if not request.rough:
         if "soft" in held.modes.values():  # to metres, for the rig's priors with their sigmas
-            scale = 1 / units_per_metre(mapped, request.scene, request.tuning)
+            scale = 1 / units_per_metre(mapped, request.scene, request.tuning.start.scale)
             mapped.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
         known, tuning = request.known(mapped), request.tuning.adjust
         adjustment = final_adjustment(mapped, held.fixed(), held.cameras, known, tuning=tuning)
@@ -322,7 +323,7 @@ class Readout:
     def there(self, tuning: ShutterTuning) -> bool:
         """Whether this is a rolling shutter and not noise or lens distortion."""
         least, most = tuning.range_s
-        sure = abs(self.seconds) > tuning.sigmas * self.sigma and self.gain > tuning.told_gain
+        sure = abs(self.seconds) > LIMIT * self.sigma and self.gain > tuning.told_gain
         return sure and least <= abs(self.seconds) <= most
 
     def clear(self, tuning: ShutterTuning) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.world import FixTuning
 
 
@@ -58,6 +59,20 @@ def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float
     for k in order:
         poses[scene.frame[k]] = transforms.invert(rig_from_cam[k] @ cam_from_world[k])
     return poses
+
+
+def distances(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances of random frames by their prior positions, metres, in a model, where ``centre`` (F, 3) are their
+    places (NaN = none), and the noise of the first: all (K,), empty with too few positions or a model of one place."""
+    position = scene.world_from_rig[:, :3, 3]
+    known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
+    if len(known) < tuning.least_positions:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[known], axis=1, initial=0.0))
+    a, b = np.random.default_rng(0).choice(len(known), (2, tuning.distances))
+    apart, own = (np.linalg.norm(p[known[a]] - p[known[b]], axis=1) for p in (position, centre))
+    some = own > 0
+    return apart[some], own[some], np.maximum(sigma[a] + sigma[b], tuning.least_noise_m)[some]
 
 
 def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:

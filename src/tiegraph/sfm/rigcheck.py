@@ -116,7 +116,7 @@ def checked_rig(out: Checked, mapped: pycolmap.Reconstruction, request: FinishRe
                 out.notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
     if not held.modes:
         return out
-    model, metres = out.model, 1 / units_per_metre(out.model, scene, request.tuning)
+    model, metres = out.model, 1 / units_per_metre(out.model, scene, request.tuning.start.scale)
     several = [k for k, rig in enumerate(scene.rigs) if len(rig.sensors) > 1]
     try:
         tests = {k: test for k in several if (test := prior_test(model, scene, k, metres, request.tuning))}

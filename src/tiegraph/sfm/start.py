@@ -29,10 +29,11 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation, robust_umeyama
 from tiegraph.geometry.transforms import angle_deg, cross, off_plane
 from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig, rays_or_axis
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import frame_poses, rig_from_sensor
+from tiegraph.sfm.model import distances, frame_poses, rig_from_sensor
 from tiegraph.sfm.tuning import StartCheckTuning
 from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches
@@ -110,22 +111,14 @@ def _by_positions(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> floa
     Its sigma is that of one long distance, because the errors of a receiver are correlated. A vehicle that hardly
     moves has no distance above the noise, but a path a hundred times as long is still refuted.
     """
-    position = scene.world_from_rig[:, :3, 3]
-    known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
-    if len(known) < tuning.least_positions:
-        return None
-    sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[known], axis=1, initial=0.0))
-    a, b = np.random.default_rng(0).choice(len(known), (2, tuning.distances))
-    apart = np.linalg.norm(position[known[a]] - position[known[b]], axis=1)
-    own = np.linalg.norm(centre[known[a]] - centre[known[b]], axis=1)
-    noise = np.maximum(sigma[a] + sigma[b], tuning.least_noise_m)
-    far = (np.maximum(apart, own) > tuning.sigmas * noise) & (own > 0)
+    apart, own, noise = distances(scene, centre, tuning)
+    far = np.maximum(apart, own) > LIMIT * noise
     if far.sum() < tuning.least_distances:
         return None
     apart, own, noise = apart[far], own[far], noise[far]
-    scale = float(np.median(np.maximum(apart, noise / tuning.sigmas) / own))
+    scale = float(np.median(np.maximum(apart, noise / LIMIT) / own))
     known_to = float(np.median(noise / np.maximum(apart, own)))
-    clear = max(np.log(tuning.clear), tuning.clear_sigmas * known_to)
+    clear = max(np.log(tuning.clear), LIMIT * known_to)
     return scale if abs(np.log(scale)) > clear else 1.0
 
 

@@ -16,7 +16,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, observed_proxy
 from tiegraph.network.coarse.visible import Overlap, shared_surface, visible_points
 from tiegraph.network.tuning import CoarseTuning, TracksTuning
-from tiegraph.scene.course import any_reach, off_course_deg
+from tiegraph.scene.course import off_course_deg
 from tiegraph.scene.pairs import PreviewMatches, Visibility
 from tiegraph.scene.rig import (
     Rig,
@@ -154,7 +154,8 @@ def explained(
     known = np.isfinite(reach).all(axis=1)
     if not known.any():
         return out
-    reach[~known] = any_reach(reach[known], tuning)
+    nearest, farthest = reach[known].min(axis=0)[0], reach[known].max(axis=0)[1]
+    reach[~known] = nearest / tuning.any_distance, farthest * tuning.any_distance
     for k in np.unique(np.concatenate(pairs)).tolist():
         rays[k] = rays_or_axis(model.cameras[k], features(k))
     for row, (i, j) in enumerate(zip(*(ends.tolist() for ends in pairs))):

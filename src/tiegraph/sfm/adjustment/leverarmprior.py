@@ -15,6 +15,7 @@ import pyceres
 import pycolmap
 
 from tiegraph.geometry.transforms import skew
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.sfm.tuning import AdjustTuning
 from tiegraph.sfm.tuning.rig import LeverArmTuning
 
@@ -98,7 +99,7 @@ def information(
     else:
         basis = np.concatenate([np.tile(np.eye(3), (len(centres), 1, 1)), axes[:, :, None]], axis=2)
     off = [np.linalg.norm(c - expected[k][0]) / expected[k][1] for k, c in zip(keys, centres[1:])]
-    weight = np.array([1 / (1 + (o / tuning.cauchy_sigmas) ** 2) / expected[k][1] ** 2 for o, k in zip(off, keys)])
+    weight = np.array([1 / (1 + (o / LIMIT) ** 2) / expected[k][1] ** 2 for o, k in zip(off, keys)])
     each = np.repeat([float(weight.mean()), *weight], 3)
     rows = basis.reshape(-1, 4)
     taken = each[:, None] * rows
@@ -126,7 +127,7 @@ def bring_back(
             if key not in expected:
                 continue
             centre, sigma = expected[key]
-            apart = np.linalg.norm(pose.inverse().translation - centre) > rules.cauchy_sigmas * sigma
+            apart = np.linalg.norm(pose.inverse().translation - centre) > LIMIT * sigma
             if apart and _shared(model, key) < tuning.min_points:
                 pose.translation = -pose.rotation.matrix() @ centre
                 there = True

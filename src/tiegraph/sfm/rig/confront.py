@@ -120,7 +120,7 @@ class PriorTest:
         tuning, speed = self.known.tuning, self.system.speed
         least = LIMIT * tuning.confront.held_to_m
         times = self.times_s().values()
-        return any(abs(t) > tuning.late_sigmas * sigma and abs(t) * speed > least for t, sigma in times)
+        return any(abs(t) > LIMIT * sigma and abs(t) * speed > least for t, sigma in times)
 
     def mounts_freed(self) -> bool:
         """Whether the images contradict a mounting."""

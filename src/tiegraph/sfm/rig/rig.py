@@ -11,9 +11,11 @@ from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
 from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d, sensor_id
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.model import distances
+from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning, SupportTuning
 from tiegraph.sfm.verified import ViewGraph
 
@@ -209,7 +211,7 @@ def ties_of(scene: Scene, graph: ViewGraph, sensors: tuple[int, ...]) -> tuple[t
     return tuple((int(a), int(b)) for a, b in graph.pairs[rows])
 
 
-def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: Tuning) -> None:
+def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: ScaleTuning) -> None:
     """Set the extrinsics of sensors without observations as given, lengths in the model's units."""
     scale = units_per_metre(model, scene, tuning)
     for index, (first, rig) in enumerate(scene.keyed_rigs):
@@ -222,21 +224,15 @@ def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[
                 held.set_sensor_from_rig(identity, rigid3d(extrinsics))
 
 
-def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> float:
+def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: ScaleTuning) -> float:
     """Model units per metre: from prior positions far enough apart, else from the median baseline
     of the rig, else 1."""
-    centre = transforms.centre(image_poses(model, scene))
-    position = scene.world_from_rig[scene.frame, :3, 3]
-    sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m, axis=1, initial=0.0))[scene.frame]
-    known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1) & (scene.sensor == 0))
-    support, least = tuning.rig.support, tuning.start.scale
-    rng = np.random.default_rng(0)
-    if len(known) >= least.least_positions:
-        a, b = rng.choice(known, (2, support.pairs))
-        apart = np.linalg.norm(position[a] - position[b], axis=1)
-        far = apart > support.position_sigmas * np.maximum(sigma[a] + sigma[b], least.least_noise_m)
-        if far.sum() >= least.least_distances:
-            return float(np.median(np.linalg.norm(centre[a] - centre[b], axis=1)[far] / apart[far]))
+    centre, first = np.full((scene.frames, 3), np.nan), scene.sensor == 0
+    centre[scene.frame[first]] = transforms.centre(image_poses(model, scene)[first])
+    apart, own, noise = distances(scene, centre, tuning)
+    far = apart > LIMIT * noise
+    if far.sum() >= tuning.least_distances:
+        return float(np.median(own[far] / apart[far]))
     return _by_baselines(model, scene)
 
 

@@ -175,9 +175,6 @@ class ShutterTuning(Section):
     """Gap between neighbours of a pass beyond which their difference gives no velocity (`scan.max_gap_s`)."""
     most_points: int = Field(20_000, gt=0)
     """Points used; of more, a random sample."""
-    sigmas: float = Field(5.0, gt=0)
-    """Sigmas by which a readout must differ from 0: the sigma from points does not include lens
-    errors common to all."""
     range_s: tuple[float, float] = (0.005, 0.1)
     """No shutter has a shorter readout, and KITTI's lenses look like 0.003; ODM's table ends at 0.074."""
     rounds: int = Field(4, gt=0)

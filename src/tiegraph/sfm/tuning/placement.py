@@ -105,12 +105,9 @@ class ScaleTuning(Section):
     """Distances above the noise that are needed to determine the scale."""
     least_noise_m: float = Field(0.01, gt=0)
     """Of a distance between two positions, whatever their sigmas say."""
-    sigmas: float = Field(4.0, gt=0)
-    """Distance in sigmas between two positions, or two places of the model, from which it determines the scale."""
     clear: float = Field(1.1, ge=1)
-    """A scale from positions that differs from the rig's by a smaller factor is not applied ..."""
-    clear_sigmas: float = Field(3.0, ge=0)
-    """... nor one within this many sigmas."""
+    """A scale from positions that differs from the rig's by a smaller factor is not applied, nor one within its
+    noise."""
 
 
 class StagedTuning(Section):

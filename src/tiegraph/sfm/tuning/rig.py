@@ -14,8 +14,6 @@ class LeverArmTuning(Section):
     """Sigma of the distance along the axis, as a share of it: no housing is a sphere."""
     inexact: float = Field(0.1, gt=0)
     """Relative sigma of the distances in a drawing."""
-    cauchy_sigmas: float = Field(2.0, gt=0)
-    """Scale of the robust weight, by which a camera that does not follow the rule has little influence."""
 
 
 class RigPriorTuning(Section):
@@ -45,17 +43,12 @@ class DeriveTuning(Section):
 
 
 class SupportTuning(Section):
-    """Sensors with too few ties, and the model's units from given values (`rig.py`), where positions pass the
-    tests of `sfm.start.scale`."""
+    """Sensors with too few ties (`rig.py`)."""
 
     min_ties: int = Field(2, gt=0)
     """Verified pairs that an image needs to be supported."""
     min_share: float = Field(0.5, ge=0, le=1)
     """Share of a sensor's images that must be supported."""
-    position_sigmas: float = Field(10.0, gt=0)
-    """Distance of two positions, in their sigmas, from which it determines the scale."""
-    pairs: int = Field(2000, gt=0)
-    """Pairs of positions that are compared, drawn at random."""
 
 
 class DiagnosticsTuning(Section):
@@ -138,8 +131,6 @@ class RigTuning(Section):
 
     late_s: float = Field(0.1, gt=0)
     """Prior sigma of the delay of a camera relative to the reference, if it is unknown."""
-    late_sigmas: float = Field(5.0, gt=0)
-    """Sigmas by which a delay must differ from zero."""
     late_wide: float = Field(16.0, ge=1)
     """Factor on the tolerance for observations while delays that move cameras by decimetres are estimated."""
     late_rounds: int = Field(10, gt=0)

@@ -94,8 +94,6 @@ class ScaleTuning(Section):
 class FitTuning(Section):
     """The similarity from a model to the world (`fit.py`)."""
 
-    inlier_sigmas: float = Field(3.0, gt=0)
-    """Per axis: a position within is used; also the scale of the Cauchy loss on its vector."""
     cauchy_scales: tuple[float, ...] = (4.0, 1.0)
     """Factors on the scale of the loss, in order."""
     orientation_sigma_deg: float = Field(3.0, gt=0)
@@ -170,8 +168,6 @@ class AdjustmentTuning(Section):
     """Ratio of reprojection errors after and before: above it, the positions bend the model."""
     not_worse: float = Field(1.01, gt=0)
     """Largest ratio of the held-out residual of the adjustment to that of the similarity."""
-    clip_sigmas: float = Field(5.0, gt=0)
-    """Limit on the residual of a held-out outlier."""
 
 
 class WorldTuning(Section):

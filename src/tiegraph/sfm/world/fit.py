@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry.align import PlacementError, Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_upright, upright_by_upward
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.sfm.tuning.world import FitTuning, WorldTuning
 from tiegraph.sfm.world.positionerrors import PositionErrors, Stated
 
@@ -325,7 +326,7 @@ class _Problem:
 
 def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> tuple[float, Fit]:
     """The robust cost, in squared sigmas, and the fit."""
-    problem, sigmas = _Problem(evidence, up, start, tuning), tuning.inlier_sigmas
+    problem = _Problem(evidence, up, start, tuning)
     x = np.zeros(problem.size)
 
     def distance(y: np.ndarray) -> np.ndarray:
@@ -333,16 +334,16 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
 
     for scale in tuning.cauchy_scales:  # Cauchy over the whole vector: an outlier in height is one in plan too
         for _ in range(tuning.rounds):
-            weight = 1 / np.sqrt(1 + (distance(x) / (scale * sigmas)) ** 2)
+            weight = 1 / np.sqrt(1 + (distance(x) / (scale * LIMIT)) ** 2)
             before, x = x, problem.solve(x, weight).x
             if np.abs(x - before).max() < 1e-5:  # radians, metres, log scale: a smaller step ends the rounds
                 break
-    inlier = distance(x) < sigmas * np.sqrt(3)
+    inlier = distance(x) < LIMIT * np.sqrt(3)
     for _ in range(tuning.rounds):
         if inlier.sum() < 3:
             inlier[:] = True
         x = problem.solve(x, inlier.astype(float)).x
-        again = distance(x) < sigmas * np.sqrt(3)
+        again = distance(x) < LIMIT * np.sqrt(3)
         if np.array_equal(again, inlier):
             break
         inlier = again
@@ -350,5 +351,5 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
     off, freedom = problem.residuals(solution.x), max(1, 3 * int(inlier.sum()) - problem.size)
     chi2 = max(1.0, float(np.sum(off[inlier] ** 2)) / freedom)
     covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * chi2
-    lost = np.sum(np.log1p((np.linalg.norm(off, axis=1) / sigmas) ** 2)) * sigmas**2
+    lost = np.sum(np.log1p((np.linalg.norm(off, axis=1) / LIMIT) ** 2)) * LIMIT**2
     return float(lost + 0.5 * np.sum(problem.others(x)[0] ** 2)), problem.fit(solution.x, covariance, inlier)

@@ -14,7 +14,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.scene.colmapmodel import MOST_FRAMES, image_poses, matrix, read_model
-from tiegraph.scene.evidence import CHANCE
+from tiegraph.scene.evidence import CHANCE, LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import adjusted_to, free_cameras
 from tiegraph.sfm.adjustment.constraints import PlacePrior, nominal_geometry, of_one_shot, rig_priors
@@ -232,7 +232,7 @@ def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
             return True, "there are only control points, and none was held out", None
         return False, "there are too few positions to hold some out as a check", None
     sigma = placing.evidence.sigma[: len(fixes)][fixes.held]
-    a, b = (_score(off[fixes.held] / sigma, bounds.clip_sigmas) for off in (plain, bends))
+    a, b = (_score(off[fixes.held] / sigma) for off in (plain, bends))
     text = (
         f"{fixes.held.sum()} held-out positions differ by {b:.2f} of their sigmas (RMS), with the similarity alone by "
         f"{a:.2f}"
@@ -240,9 +240,9 @@ def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
     return b <= bounds.not_worse * a, text, bends
 
 
-def _score(residual: np.ndarray, clip: float) -> float:
+def _score(residual: np.ndarray) -> float:
     """Root mean square per axis in sigmas, single outliers clipped."""
-    distance = np.minimum(np.linalg.norm(residual, axis=1), clip * np.sqrt(3))
+    distance = np.minimum(np.linalg.norm(residual, axis=1), LIMIT * np.sqrt(3))
     return float(np.sqrt(np.mean(distance**2) / 3))
 
 

@@ -78,7 +78,7 @@ class SimilarityFit:
         off = start.residuals(evidence)[:count]
         factor = factors(off / fixes.sigma, fixes.level, fixes.time_s, self.tuning.noise)
         times = np.linalg.norm(off / (fixes.sigma * factor[:, None]), axis=1)
-        inlier = np.append(times < self.tuning.fit.inlier_sigmas * np.sqrt(3), self.fit.inlier[count:])
+        inlier = np.append(times < LIMIT * np.sqrt(3), self.fit.inlier[count:])
         fit = by_errors(evidence, up, replace(start, inlier=inlier), self.rows, self.tuning, bent)
         return replace(self, evidence=evidence, up=up, fit=fit)
 
