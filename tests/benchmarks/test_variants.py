@@ -27,10 +27,10 @@ def test_every_number_of_the_constants_is_found_by_its_place():
     "place, value, factor, new",
     [
         ("filter.matches_a_pair", 150, 4 / 3, 200),
-        ("filter.loops.neighbour_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
+        ("network.poses.prior.near_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
         ("scene.course.margin", 2.0, 2 / 3, 4 / 3),
         ("scene.course.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
-        ("filter.loops.as_good", 0.9, 4 / 3, None),  # no share above 1
+        ("filter.max_refused", 0.9, 4 / 3, None),  # no share above 1
     ],
 )
 def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, factor, new):
@@ -45,14 +45,14 @@ def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, facto
 
 
 def test_a_group_moves_what_its_tuning_lets_move_together():
-    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("filter.prior.", "filter.matches_a_pair"))]
-    groups = {v.name: merged(v.settings).tuning.filter for v in sweep.grouped(asked, 2 / 3)}
+    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("scene.course.", "filter.matches_a_pair"))]
+    groups = {v.name: merged(v.settings).tuning for v in sweep.grouped(asked, 2 / 3)}
     assert len(groups) == 2
-    (name, prior), (_, own) = sorted(groups.items(), key=lambda g: "prior" not in g[0])
-    default = FilterTuning()
-    moved = [n for n, v in sweep.numbers(default.prior) if dict(sweep.numbers(prior.prior))[n] != v]
-    assert len(moved) == int(name.split()[1]) >= 4 and prior.matches_a_pair == 150
-    assert own.matches_a_pair == 100 and own.prior == default.prior
+    (name, course), (_, own) = sorted(groups.items(), key=lambda g: "course" not in g[0])
+    default = Tunings()
+    moved = [n for n, v in sweep.numbers(default.scene.course) if dict(sweep.numbers(course.scene.course))[n] != v]
+    assert len(moved) == int(name.split()[1]) >= 4 and course.filter == default.filter
+    assert own.filter.matches_a_pair == 100 and own.scene == default.scene
 
 
 def test_every_subsystem_that_is_switched_off_is_a_valid_setting():

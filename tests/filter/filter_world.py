@@ -38,16 +38,14 @@ class World:
     matches: dict[tuple[int, int], np.ndarray]
     false: set[tuple[int, int]]
 
-    def run(
-        self, folder: Path, scene: Scene | None = None, prior: Prior | None = None, **settings
-    ) -> tuple[Filtering, np.ndarray]:
-        """Filter with another rig than the true one, perhaps; (result, false pairs (P,) bool)."""
+    def run(self, folder: Path, prior: Prior | None = None, **settings) -> tuple[Filtering, np.ndarray]:
+        """(Result, false pairs (P,) bool)."""
         database = folder / "database.db"
         self.write(database)
         ends = np.array(sorted(self.matches))
         pairs = Pairs.make(ends[:, 0], ends[:, 1], "sequence")
         result = filter_pairs(
-            database, scene or self.scene, pairs, FilterSettings(**settings), (Tuning(), CourseTuning()), serial, prior
+            database, self.scene, pairs, FilterSettings(**settings), (Tuning(), CourseTuning()), serial, prior
         )
         return result, np.array([(int(i), int(j)) in self.false for i, j in zip(pairs.i, pairs.j)])
 
@@ -133,15 +131,3 @@ def add_repeats(made: World, share: float = 0.35, seed: int = 1) -> World:
             made.matches[i, j] = np.column_stack([start_i + np.arange(60), start_j + np.arange(60)])
             made.false.add((i, j))
     return made
-
-
-def turned(scene: Scene, degrees: float, seed: int = 3) -> Scene:
-    """The scene with every camera but the first turned by so much about a random axis."""
-    rng = np.random.default_rng(seed)
-    out = []
-    for k, s in enumerate(scene.rigs[0].sensors):
-        axis = rng.normal(size=3)
-        vector = np.radians(degrees) * axis / np.linalg.norm(axis) * (k > 0)
-        turn = transforms.rigid(Rotation.from_rotvec(vector).as_matrix(), np.zeros(3))
-        out.append(replace(s, sensor_from_rig=turn @ s.sensor_from_rig))
-    return scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(out)),))

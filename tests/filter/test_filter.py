@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import replace
 
 import numpy as np
 import pycolmap
 import pytest
-from filter_world import add_repeats, rig_from_world, serial, turned, world
+from filter_world import add_repeats, rig_from_world, serial, world
 from filter_world import rig as ring_of
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +25,13 @@ from tiegraph.sfm.run import write_working_copy
 from tiegraph.sfm.verified import ViewGraph
 
 
+def prior_of(made) -> Prior:
+    """The true poses of the images as a rough model."""
+    scene = made.scene
+    poses = [scene.rigs[0].sensors[s].sensor_from_rig @ rig_from_world(f) for f, s in zip(scene.frame, scene.sensor)]
+    return Prior(np.stack(poses), np.tile([3.0, 30.0], (len(scene), 1)))
+
+
 @pytest.fixture(scope="module")
 def repeated():
     return add_repeats(world())
@@ -36,60 +42,45 @@ def _shares(result, false):
     return kept[~false].mean(), kept[false].mean()
 
 
-@pytest.mark.slow
 def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
-    result, false = repeated.run(tmp_path)
+    results = [repeated.run(tmp_path, prior=prior_of(repeated)) for _ in range(2)]
+    (result, false), (again, _) = results
     true_kept, false_kept = _shares(result, false)
     assert false.sum() > 10 and true_kept >= 0.99 and false_kept <= 0.05
     assert result.counts["refused"] == np.sum(result.pairs.dropped > 0) > 0.9 * false.sum()
+    assert np.array_equal(result.pairs.dropped, again.pairs.dropped)
 
 
-def unknown(scene):
-    """The scene with a rig of which no places are known."""
-    rig = scene.rigs[0]
-    return scene.with_(rigs=(replace(rig, sensors=tuple(replace(s, sensor_from_rig=None) for s in rig.sensors)),))
+def test_pairs_that_nothing_judges_stay(repeated, tmp_path):
+    prior = prior_of(repeated)
+    late = repeated.scene.frame >= 4
+    prior.cam_from_world[late] = np.nan
+    result, false = repeated.run(tmp_path, prior=prior)
+    gone, judged = result.pairs.dropped > 0, ~late[result.pairs.i] & ~late[result.pairs.j]
+    assert np.any(false & ~judged) and gone.any() and np.all(judged[gone])
+    prior.cam_from_world[:] = np.nan
+    for nothing in (prior, None):
+        result, _ = repeated.run(tmp_path, prior=nothing)
+        assert result.counts["refused"] == 0 and "was tested" in result.notes[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rig", ["wide", "turned", "unknown"])
-def test_another_rig_loses_nothing(rig, repeated, tmp_path):
-    """An unknown one goes by loops of images."""
-    made = add_repeats(world(radius_m=1.0)) if rig == "wide" else repeated
-    scene = {"wide": made.scene, "turned": turned(made.scene, 2.0), "unknown": unknown(made.scene)}[rig]
-    true_kept, false_kept = _shares(*made.run(tmp_path, scene))
-    assert true_kept >= 0.99 and false_kept <= 0.1
-
-
-@pytest.mark.slow
-def test_wrong_focal_lengths_refuse_nothing_and_are_told_of(repeated, tmp_path):
-    rig = repeated.scene.rigs[0]
-    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[768, 768, 320, 240])
-    rig = replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors))
-    result, false = repeated.run(tmp_path, repeated.scene.with_(rigs=(rig,)))
-    assert "focal lengths, or the rig, are probably wrong" in result.notes[0]
-    assert _shares(result, false)[0] >= 0.97
-
-
-def test_lone_camera_in_loops(tmp_path):
-    result, false = world(frames=7, sensors=1).run(tmp_path)
-    assert not false.any() and (result.pairs.dropped == 0).mean() >= 0.99
+def test_a_model_that_most_pairs_contradict_is_not_used(repeated, tmp_path):
+    prior = prior_of(repeated)
+    rng = np.random.default_rng(0)
+    turn = Rotation.random(len(repeated.scene), rng).as_matrix()
+    prior.cam_from_world[:, :3] = turn @ prior.cam_from_world[:, :3]
+    result, _ = repeated.run(tmp_path, prior=prior)
+    assert result.counts["refused"] == 0 and "too few, so it is not used" in result.notes[0]
 
 
 def test_off_keeps_all_and_a_missing_database_is_named(repeated, tmp_path):
-    result, _ = repeated.run(tmp_path, method="off")
+    prior = prior_of(repeated)
+    result, _ = repeated.run(tmp_path, prior=prior, method="off")
     assert np.all(result.pairs.dropped == 0)
     pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
+    given = repeated.scene, pairs, FilterSettings(), (Tuning(), CourseTuning()), serial, prior
     with pytest.raises(InputError, match="nowhere.db"):
-        filter_pairs(
-            tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), (Tuning(), CourseTuning()), serial
-        )
-
-
-@pytest.mark.slow
-def test_same_input_same_result(tmp_path):
-    made = add_repeats(world(frames=4, sensors=3))
-    a, b = (made.run(tmp_path)[0] for _ in range(2))
-    assert np.array_equal(a.pairs.dropped, b.pairs.dropped)
+        filter_pairs(tmp_path / "nowhere.db", *given)
 
 
 def test_refused_pairs_are_left_out(tmp_path):

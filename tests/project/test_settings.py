@@ -44,7 +44,7 @@ def test_every_preset_is_valid_and_changes_what_it_says():
         ({"masks": {"sorce": "none"}}, r"unknown setting 'masks.sorce': perhaps you meant 'source'"),
         ({"mask": {"source": "none"}}, r"unknown setting 'mask': perhaps you meant 'masks'"),
         ({"masks": {"difference": 999}}, r"masks.difference = 999.*254"),
-        ({"tuning": {"filter": {"loops": {"trails": 3}}}}, r"'tuning.filter.loops.trails': perhaps you meant 'trials'"),
+        ({"tuning": {"sfm": {"start_check": {"of": 3}}}}, r"'tuning.sfm.start_check.of': perhaps you meant 'off'"),
         ({"tuning": {"scene": {"course": {"margin": 0.5}}}}, r"tuning.scene.course.margin = 0.5"),
         ({"tuning": {"fliter": {}}}, r"'tuning.fliter': perhaps you meant 'filter'"),
     ],
@@ -64,20 +64,18 @@ def test_about_seventy_settings_at_most():
 def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.filter.loops]\ntrials = 300\n")
-    project = open_project(tmp_path, out, settings={"tuning": {"filter": {"loops": {"rounds": 4}}}})
-    tuning = project.settings.tuning.filter
-    assert (tuning.matches_a_pair, tuning.loops.trials, tuning.loops.rounds, tuning.loops.directions) == (
-        9,
-        300,
-        4,
-        200,
-    )
+    (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.sfm.mapping]\nclearly_fewer = 0.7\n")
+    project = open_project(tmp_path, out, settings={"tuning": {"sfm": {"mapping": {"roughly_fewer": 0.4}}}})
+    tuning = project.settings.tuning
+    mapping = tuning.sfm.mapping
+    assert (tuning.filter.matches_a_pair, mapping.clearly_fewer, mapping.roughly_fewer) == (9, 0.7, 0.4)
+    assert mapping.second_survey == 10
     project.save()
     assert open_project(out=out).settings == project.settings
-    changed_values = {"filter": {"matches_a_pair": 9, "loops": {"trials": 300, "rounds": 4}}}
+    changed_values = {"filter": {"matches_a_pair": 9}, "sfm": {"mapping": {"clearly_fewer": 0.7, "roughly_fewer": 0.4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
-    before, after = (stage_keys(STAGES, s, {"images": 1}, Stamps(out)) for s in (Settings(), project.settings))
+    only = open_project(tmp_path, out / "filter", settings={"tuning": {"filter": {"matches_a_pair": 9}}}).settings
+    before, after = (stage_keys(STAGES, s, {"images": 1}, Stamps(out)) for s in (Settings(), only))
     needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "products", "evaluate", "report"}
     assert {name for name in before if before[name] != after[name]} == needs_filter
 

@@ -1,10 +1,9 @@
-"""View-graph filtering: verified pairs that contradict the coarse model, or the rotations of all others, are refused.
+"""View-graph filtering: verified pairs that contradict the coarse model are refused.
 
 A pair of images of the coarse model is refused if its matches lie where no surface within reach explains them
 (``filter``): a wall that repeats along the path has the right rotation and the right epipolar lines, but impossible
-distances. An image that contradicts most of its pairs is wrong in the model: these pairs are not judged by it.
-An image that sees too few points for distances (an up camera below a bridge) is judged by its pose in the
-rig, at any distance. If the model contradicts all pairs between two parts of itself, no pair confirms how these were
-joined, and it does not judge them. Pairs outside the model are judged by loops of rotations
-(``loops``). The tables of ``match`` stay complete; the mapper's copy of the database omits refused pairs.
+distances. An image that contradicts most of its pairs is wrong in the model: these pairs are not judged by it. If the
+model contradicts all pairs between two parts of itself, no pair confirms how these were joined, and it does not judge
+them. Pairs of other images are kept. The tables of ``match`` stay complete; the mapper's copy of the database omits
+refused pairs.
 """

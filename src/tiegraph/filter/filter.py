@@ -1,23 +1,90 @@
-"""Pairs that contradict the coarse model or loops of rotations are refused.
+"""Pairs that contradict the coarse model are refused, by their matches as bearing vectors, which are read from COLMAP's
+database pair by pair, in whichever process needs them.
 
-The coarse model, though rough, shows more than loops: a wall that repeats along the path gives false matches
-with the right rotation and on the right epipolar lines, but at impossible distances.
+A wall that repeats along the path gives false matches with the right rotation and on the right epipolar lines, but at
+impossible distances.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pycolmap
 
-from tiegraph.filter.loops import Map, Matches, by_loops, forget
+from tiegraph.errors import InputError
 from tiegraph.filter.settings import FilterSettings
-from tiegraph.filter.tuning import PriorTuning, Tuning
+from tiegraph.filter.tuning import Tuning
 from tiegraph.geometry import transforms
+from tiegraph.scene.atomic import cached_by_file
+from tiegraph.scene.colmapdatabase import Rows
 from tiegraph.scene.course import off_course_deg
 from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rig import camera_from_dict, camera_to_dict, pixel_rays
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import CourseTuning
+
+_CACHED_IMAGES = 512  # of about 100 kB each, in every worker
+
+Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the order of the items
+Camera = tuple[tuple[str, object], ...]  # items of ``camera_to_dict``, so that rays can be cached by it
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The verified matches of a database, in a form that can be sent to other processes: the camera of each sensor, and
+    the sensor (N,) of each image; of a pair at most ``most`` matches are read, spread evenly."""
+
+    database: str
+    cameras: tuple[Camera, ...]
+    sensor: np.ndarray
+    most: int
+
+    @staticmethod
+    def of(database: Path, scene: Scene, most: int) -> "Matches":
+        """Those of a scene. Raises InputError for a sensor without a camera."""
+        cameras = []
+        for k, sensor in enumerate(scene.all_sensors):
+            if sensor.camera is None:
+                raise InputError(f"sensor {k} has no camera: no image of it was found, remove it from the rig")
+            said = camera_to_dict(sensor.camera) or {}
+            cameras.append(tuple(sorted((n, tuple(v) if isinstance(v, list) else v) for n, v in said.items())))
+        return Matches(str(database), cameras=tuple(cameras), sensor=np.asarray(scene.sensor_key), most=most)
+
+    def rays(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """Unit rays (K, 3), (K, 3) of the matches of images i and j in the frames of their sensors."""
+        matches = _connection(self.database).verified_of(i + 1, j + 1)
+        if len(matches) > self.most:
+            matches = matches[np.linspace(0, len(matches) - 1, self.most).astype(int)]
+        rays = (_rays(self.database, k, self.cameras[self.sensor[k]]) for k in (i, j))
+        first, second = (own[matches[:, side]] for side, own in enumerate(rays))
+        return first, second
+
+
+def _camera(camera: Camera) -> pycolmap.Camera:
+    made = camera_from_dict(dict(camera))
+    assert made is not None
+    return made
+
+
+@cached_by_file(maxsize=2)
+def _connection(database: str) -> Rows:
+    return Rows(Path(database), any_thread=True)
+
+
+@cached_by_file(maxsize=_CACHED_IMAGES)
+def _rays(database: str, image: int, camera: Camera) -> np.ndarray:
+    """(K, 3) unit rays of an image's key points in the sensor frame."""
+    points = _connection(database).keypoints_of(image + 1)
+    return np.nan_to_num(pixel_rays(_camera(camera), points)) if len(points) else np.zeros((0, 3))
+
+
+def forget() -> None:
+    """Close the database and drop cached rays of this process."""
+    _connection.cache_clear()
+    _rays.cache_clear()
 
 
 @dataclass(frozen=True)
@@ -46,11 +113,9 @@ def agreement(pair: tuple[int, int], matches: Matches, prior: Prior, tuning: Cou
 
 @dataclass(frozen=True)
 class Filtering:
-    """The pair table with reason "repeat"; ``undecided`` (P,) bool: kept, though others contradict, because no loop
-    decides; figures by name, notes and tables for people."""
+    """The pair table with reason "repeat"; figures by name, notes and tables for people."""
 
     pairs: Pairs
-    undecided: np.ndarray
     counts: dict[str, int]
     notes: tuple[str, ...]
     tables: dict[str, dict]
@@ -65,61 +130,42 @@ def filter_pairs(
     run_map: Map,
     prior: Prior | None = None,
 ) -> Filtering:
-    """Refuse ("repeat") the kept pairs that contradict the coarse model or loops; the database is read only.
+    """Refuse ("repeat") the kept pairs that contradict the ``prior``, a rough model; the database is read only.
 
-    Pairs of images that both are in the ``prior``, a rough model, are judged by it; all others by loops.
     ``run_map(function, items, *args)`` runs items anywhere. Raises InputError for a missing database or camera.
     """
-    kept, (tuning, course) = pairs.kept(), tunings
-    if settings.method == "off" or not len(kept):
-        counts = {"pairs": len(kept), "kept": len(kept), "refused": 0}
-        return Filtering(pairs, np.zeros(len(pairs), bool), counts, notes=("no pair was tested",), tables={})
-    forget()
-    matches = Matches.of(database, scene, tuning.matches_a_pair)
-    asked, refused, notes = np.zeros(len(kept), bool), np.zeros(len(kept), bool), ()
-    if prior is not None:
-        asked, refused, notes = _by_prior(scene, kept, matches, prior, (tuning.prior, course), run_map)
-    others = np.flatnonzero(~asked)
-    by_rotation = by_loops(scene, kept.where(others), matches, tuning.loops, run_map)
-    forget()
-    undecided = np.zeros(len(kept), bool)
-    refused[others], undecided[others], said = by_rotation
-    gone = int(refused.sum())
-    return Filtering(
-        pairs=pairs.drop(_in_table(pairs, refused), "repeat"),
-        undecided=_in_table(pairs, undecided),
-        counts={"pairs": len(kept), "kept": len(kept) - gone, "refused": gone, "undecided": int(undecided.sum())},
-        notes=(*notes, *said),
-        tables={"camera pairs": _table(scene, kept, refused)},
-    )
-
-
-def _in_table(pairs: Pairs, of_kept: np.ndarray) -> np.ndarray:
-    """(P,) bool of all pairs, from that of the kept ones."""
-    out = np.zeros(len(pairs), bool)
-    out[np.flatnonzero(pairs.dropped == 0)[of_kept]] = True
-    return out
+    kept = pairs.kept()
+    refused, notes, tables = np.zeros(len(kept), bool), ("no pair was tested",), {}
+    if settings.method != "off" and prior is not None and len(kept):
+        forget()
+        matches = Matches.of(database, scene, tunings[0].matches_a_pair)
+        refused, notes = _by_prior(kept, matches, prior, tunings, run_map)
+        forget()
+        tables = {"camera pairs": _table(scene, kept, refused)}
+    in_table, gone = np.zeros(len(pairs), bool), int(refused.sum())
+    in_table[np.flatnonzero(pairs.dropped == 0)[refused]] = True
+    counts = {"pairs": len(kept), "kept": len(kept) - gone, "refused": gone}
+    return Filtering(pairs=pairs.drop(in_table, "repeat"), counts=counts, notes=notes, tables=tables)
 
 
 def _by_prior(
-    scene: Scene, pairs: Pairs, matches: Matches, prior: Prior, tunings: tuple[PriorTuning, CourseTuning], run_map: Map
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Of each pair (P,) bool whether a rough model judges it, and whether it refuses it; notes.
+    pairs: Pairs, matches: Matches, prior: Prior, tunings: tuple[Tuning, CourseTuning], run_map: Map
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Of each pair (P,) bool whether a rough model refuses it; notes.
 
     A model that contradicts many pairs is not used, and neither is the relative pose of two parts of it if it
     contradicts all pairs between them.
     """
     tuning, course = tunings
-    known = prior.known()
-    asked, refused = np.zeros((2, len(pairs)), bool)
+    known, refused = prior.known(), np.zeros(len(pairs), bool)
     rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
     if not len(rows):
-        return asked, refused, ()
+        return refused, ("the coarse model has no images of any pair, so none was tested",)
     ends = np.stack([pairs.i[rows], pairs.j[rows]])
     wrong = np.array(run_map(agreement, ends.T.tolist(), matches, prior, course)) < course.min_share
     said = f"the coarse model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
     if wrong.mean() > tuning.max_refused:
-        return asked, refused, (f"{said}: too few, so it is not used",)
+        return refused, (f"{said}: too few, so it is not used",)
     asked_of, wrong_of = (np.bincount(e.ravel(), minlength=len(known)) for e in (ends, ends[:, wrong]))
     misplaced = wrong_of > tuning.max_refused_image * asked_of
     if misplaced.any():
@@ -131,9 +177,8 @@ def _by_prior(
     if alone.any():
         said += f"; {int(alone.sum())} of the others are the only ties of parts of it, and are not refused by it"
         rows, wrong = rows[~alone], wrong[~alone]
-    asked[rows] = True
     refused[rows[wrong]] = True
-    return asked, refused, (said,)
+    return refused, (said,)
 
 
 def _table(scene: Scene, kept: Pairs, refused: np.ndarray) -> dict:

@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class FilterSettings(Section):
-    """View-graph filtering: matched pairs tested by the coarse model and by loops of rotations."""
+    """View-graph filtering: matched pairs tested by the coarse model."""
 
     method: Literal["auto", "off"] = "auto"
-    """auto: pairs of the coarse model by it, others by loops; off: all are kept."""
+    """auto: pairs of images of the coarse model are tested by it; off: all are kept."""

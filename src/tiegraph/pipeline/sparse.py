@@ -1,4 +1,4 @@
-"""Glue of filter and sparse: matched pairs that contradict the coarse model or loops are refused, the others mapped."""
+"""Glue of filter and sparse: matched pairs that contradict the coarse model are refused, the others mapped."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -29,7 +29,7 @@ from tiegraph.sfm.start import check_start, start_told
 
 
 def filter(run: Run) -> Outcome:
-    """Pairs whose matches agree with the coarse model or with loops; the database of `match` stays unchanged."""
+    """Pairs whose matches agree with the coarse model; the database of `match` stays unchanged."""
     done = [0]
 
     def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
@@ -42,7 +42,7 @@ def filter(run: Run) -> Outcome:
     known = trusted_poses(run.folder)
     prior = None if known is None else Prior(*known)
     found = filter_pairs(run.path("database.db"), scene, pairs, settings, tunings, run_map, prior)
-    save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided)
+    save_npz(run.path("filter.npz"), **found.pairs.to_npz())
     return Outcome(found.counts, notes=found.notes, tables=found.tables)
 
 
