@@ -7,11 +7,14 @@ import cv2
 import numpy as np
 
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.pipeline.files import CLOUD
 from tiegraph.products.frame import Frame
 from tiegraph.products.raster import Place, write_raster
 from tiegraph.products.surface import Surface
 from tiegraph.project.folder import SETTINGS
 from tiegraph.scene.atomic import MARK
+from tiegraph.scene.copc import write_copc
+from tiegraph.scene.results import Cloud
 
 PIXEL, ROWS, COLUMNS, NOISE_M = 0.2, 256, 320, 0.02
 ORIGIN = Origin(lat_deg=35.7, lon_deg=139.8, height_m=40.0, crs="EPSG:32654", shift_m=(388700.0, 3951000.0, 40.0))
@@ -60,6 +63,26 @@ def town(seed=0):
     return bare, top.astype(np.float32), objects
 
 
+def cloud(seed=1):
+    """A point in each pixel of the town's heights, a few below the houses, and one beyond the raster; and which of them
+    are on an object (N,)."""
+    (x, y), (bare, top, objects), rng = places(), town(), np.random.default_rng(seed)
+    below = objects & (x % 2 < PIXEL)
+    xyz = [np.stack([x, y, top], axis=-1).reshape(-1, 3), np.stack([x, y, bare], axis=-1)[below], [[-5.0, 3.0, 0.0]]]
+    xyz = np.concatenate(xyz) + surface().low * [1, 1, 0]
+    xyz[:-1] += rng.uniform(-0.4, 0.4, (len(xyz) - 1, 3)) * [PIXEL, PIXEL, 0]
+    count = len(xyz)
+    points = Cloud(
+        xyz_m=xyz,
+        rgb=np.full((count, 3), 90, np.uint8),
+        normal=np.tile(np.float32([0, 0, 1]), (count, 1)),
+        sigma_m=np.full(count, NOISE_M, np.float32),
+        views=np.full(count, 3, np.uint8),
+        origin=ORIGIN,
+    )
+    return points, np.r_[objects.ravel(), np.zeros(np.count_nonzero(below) + 1, bool)]
+
+
 def as_run(folder, origin=ORIGIN, scale="gnss", **rasters):
     """A run folder with rasters (rows, columns) of the world's heights as its map, dsm and sigma by default."""
     values = {"dsm": town()[1], "sigma": np.full((ROWS, COLUMNS), NOISE_M, np.float32)} | rasters
@@ -71,6 +94,7 @@ def as_run(folder, origin=ORIGIN, scale="gnss", **rasters):
         up = 0.0 if name.endswith("sigma") or origin is None else top.offset[2]
         parts = [(v, w[v.row : v.row + v.rows, v.column : v.column + v.columns] + up) for v in top.windows(128)]
         write_raster(folder / "products" / "map" / f"{name}.tif", parts, top, place, folder / "scratch")
+    write_copc(lambda: iter([cloud()[0]]), folder / CLOUD, PIXEL, folder)
     world = {"origin": None if origin is None else origin.to_dict(), "scale_source": scale, "placement_error": None}
     (folder / "world.json").write_text(json.dumps(world))
     (folder / SETTINGS).write_text(f'[run]\nimages = "{folder}"\n')

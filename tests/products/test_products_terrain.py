@@ -3,9 +3,11 @@ import sqlite3
 import sys
 import xml.etree.ElementTree as xml
 
+import laspy
 import numpy as np
 import pyproj
 import pytest
+from scipy.spatial import cKDTree
 
 import terrain_world as world
 from terrain_world import NOISE_M, PIXEL
@@ -47,6 +49,24 @@ def test_terrain_below_houses_trees_and_cars_is_as_true_as_its_sigma_says(town):
     assert np.mean(np.abs(ratio) < 3) > 0.995 and 0.3 < np.sqrt(np.mean(ratio**2)) < 1.5
     assert np.abs(dtm - bare)[below].max() < 0.4
     assert "1 m" not in work.said() and "contours." in work.said()
+
+
+@pytest.mark.slow
+def test_points_on_the_terrain_are_ground_and_none_is_lost(town):
+    points, on_object = world.cloud()
+    las = laspy.read(town[2].path("classified.laz"))
+    assert len(las) == len(points) and set(np.unique(las.classification)) == {1, 2}
+    assert las.header.parse_crs().to_epsg() == 32654
+    distance, nearest = cKDTree(points.xyz_m + world.ORIGIN.shift_m).query(las.xyz)
+    assert distance.max() < 2e-3 and len(np.unique(nearest)) == len(points)
+    is_ground = np.zeros(len(points), bool)
+    is_ground[nearest] = las.classification == 2
+    x, y = points.xyz_m[:, 0] - 100.0, points.xyz_m[:, 1] - 200.0
+    high = on_object & (points.xyz_m[:, 2] - world.ground(x, y) > 0.5)
+    assert not is_ground[high].any() and not is_ground[-1]  # the last lies beyond the raster
+    assert is_ground[: world.ROWS * world.COLUMNS][~on_object[: world.ROWS * world.COLUMNS]].mean() > 0.9
+    below = is_ground[world.ROWS * world.COLUMNS : -1]
+    assert 0.3 < below.mean()  # seen below trees and houses: as far as interpolated terrain is known
 
 
 @pytest.mark.slow

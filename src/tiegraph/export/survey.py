@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -62,20 +63,20 @@ class Exporter:
     depth: bool = False
 
 
-def write_offset(survey: Survey, target: Path, world_from_local: Similarity | None = None) -> None:
-    """Write ``offset.json``: what brings the coordinates of the folder to those of the CRS."""
-    shift = (0.0, 0.0, 0.0) if survey.origin is None else survey.origin.shift_m
+def offset_of(origin: Origin | None, unit: str, world_from_local: Similarity | None = None) -> dict[str, Any]:
+    """The content of ``offset.json``: what brings the coordinates of a folder to those of the CRS."""
+    shift = (0.0, 0.0, 0.0) if origin is None else origin.shift_m
     back = Similarity(translation=np.array(shift, float)) @ (world_from_local or Similarity())
-    said = {
-        "crs": None if survey.origin is None else survey.origin.crs,
-        "unit": survey.unit,
-        "shift": list(shift),
-        "crs_from_local": back.matrix.tolist(),
-    }
-    if survey.origin is not None:
-        place = survey.origin
-        said["world_zero"] = {"lat_deg": place.lat_deg, "lon_deg": place.lon_deg, "height_m": place.height_m}
-    write_json(target / OFFSET, said)
+    crs = None if origin is None else origin.crs
+    said = {"crs": crs, "unit": unit, "shift": list(shift), "crs_from_local": back.matrix.tolist()}
+    if origin is not None:
+        said["world_zero"] = {"lat_deg": origin.lat_deg, "lon_deg": origin.lon_deg, "height_m": origin.height_m}
+    return said
+
+
+def write_offset(survey: Survey, target: Path, world_from_local: Similarity | None = None) -> None:
+    """Write ``offset.json``."""
+    write_json(target / OFFSET, offset_of(survey.origin, survey.unit, world_from_local))
 
 
 def write_json(path: Path, data: object) -> None:

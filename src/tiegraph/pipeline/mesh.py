@@ -11,6 +11,7 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
+from tiegraph.export.survey import offset_of
 from tiegraph.export.tiles3d import Place, Tile, write_tree
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import need_room
@@ -43,7 +44,6 @@ from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz,
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import replacing, scratch_folder
-from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.copc import copc_sample
 
 FOLDER, SCRATCH = "mesh", ".work"
@@ -226,19 +226,12 @@ def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
 
 def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
     """What leads from the files' coordinates to those of the CRS, and the same in lines (ASCII)."""
-    origin, unit = world_origin(run.folder), world_unit(run.folder)
-    shift = shift_of(origin)
-    matrix = np.eye(4)
-    matrix[:3, 3] = shift
-    crs = None if origin is None else origin.crs
-    said = {"crs": crs, "unit": unit, "shift": shift.tolist(), "crs_from_local": matrix.tolist()}
+    said = offset_of(world_origin(run.folder), world_unit(run.folder))
     lines = [
         "tiegraph",
-        f"crs {crs or 'none'}, unit {unit}",
-        "shift {!r} {!r} {!r} (to be added)".format(*shift.tolist()),
+        f"crs {said['crs'] or 'none'}, unit {said['unit']}",
+        "shift {!r} {!r} {!r} (to be added)".format(*said["shift"]),
     ]
-    if origin is not None:
-        said["world_zero"] = {"lat_deg": origin.lat_deg, "lon_deg": origin.lon_deg, "height_m": origin.height_m}
     accuracy = accuracy_said(run, run.receipts.read("cloud")["counts"])
     said["accuracy"] = accuracy
     return said, [*lines, accuracy] if accuracy else lines

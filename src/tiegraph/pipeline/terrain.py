@@ -1,4 +1,5 @@
-"""Glue of rasters over a reference surface: files, steps of the work, tiles; and the terrain of a map."""
+"""Glue of rasters over a reference surface: files, steps of the work, tiles; and the terrain of a map, with the points
+of the cloud that are ground."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -7,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from laspy import LasHeader, ScaleAwarePointRecord
 
 from tiegraph.errors import EngineMissing
 from tiegraph.geometry.geodesy import geodetic_from_world
-from tiegraph.pipeline.files import load_npz, reading, save_npz
+from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz
 from tiegraph.products.raster import PICTURE_PX, Place, read_window, relief, write_raster
 from tiegraph.products.surface import MAP, Surface, Window
 from tiegraph.products.terrain import (
@@ -24,6 +26,7 @@ from tiegraph.products.terrain import (
     ground_cells,
     low_cells,
     margin,
+    on_terrain,
     step_of,
     terrain_tile,
     through,
@@ -31,6 +34,9 @@ from tiegraph.products.terrain import (
 from tiegraph.products.tuning import Tuning
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.cloudfile import las_header, las_points, write_records
+from tiegraph.scene.copc import copc_box
+from tiegraph.scene.results import Cloud
 from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 
 FOLDER = "products"
@@ -185,11 +191,24 @@ class TerrainWork(OnSurface):
         return max(1, self.cell // 2)
 
     def finish_terrain(self) -> None:
-        """Contour lines, the rasters of the terrain and its sigma, and a picture of both."""
+        """Contour lines, the rasters of the terrain and its sigma, the classified cloud, and a picture of both."""
         lines = self._contours()
         self.write("dtm_sigma", self.tiles("terrain", "sigma"))
         self.write("dtm", self.tiles("terrain", "dtm"))
+        origin = self.place.origin
+        header, _ = las_header(Cloud.empty(origin), self.surface.pixel_m, self.place.said)
+        write_records(map(partial(self._classified, header), self.windows), header, self.path("classified.laz"))
         write_atomic(self.path(_DONE), relief(self.path("dtm.tif"), PICTURE_PX, self.place.unit, lines))
+
+    def _classified(self, header: LasHeader, window: Window) -> ScaleAwarePointRecord:
+        """The points of the cloud over a tile, of class 2 (ground) where they lie on the terrain, else 1."""
+        with reading(self.folder / CLOUD):
+            points = copc_box(self.folder / CLOUD, self.place.origin, *self.surface.above(window))
+        w = self.read("dtm", window.grown(1)) - np.float32(self.surface.offset[2])
+        here, on_ground = on_terrain(points, self.surface, window, w, self.read("dtm_sigma", window))
+        record = las_points(points.where(here), header)
+        record.classification = np.where(on_ground, 2, 1).astype(np.uint8)
+        return record
 
     def _contours(self) -> list[Line]:
         step, surface, tuning = self._drawn, self.surface, self.tuning.contours
@@ -234,34 +253,23 @@ class TerrainWork(OnSurface):
 def _write_lines(path: Path, lines: list[Line], surface: Surface, place: Place) -> str:
     """Write contour lines as a GeoPackage in the CRS of the map with a style for QGIS, or as GeoJSON in degrees where
     pyogrio is missing; the name of the file, or why there is none."""
+    places = [np.c_[line.uv, np.full(len(line.uv), line.w)] for line in lines]
     try:
         raw = gdal("contours.gpkg", "")
     except EngineMissing:
         if place.origin is None:
             return "not written: that needs pyogrio, pip install 'tiegraph[gis]'"
-        shift = np.asarray(place.origin.shift_m)
-        lat_lon = ((geodetic_from_world(p - shift, place.origin), line) for p, line in _placed(lines))
-        degrees = ((np.round(p[:, [1, 0, 2]], 9), line) for p, line in lat_lon)
+        shift, origin = np.asarray(place.origin.shift_m), place.origin
         path = path.with_suffix(".geojson")
-        write_atomic(path, collection(_features(degrees)))
+        turned = [geodetic_from_world(xyz - shift, origin)[:, [1, 0, 2]] for xyz in places]
+        write_atomic(path, collection(_features(lines, [np.round(xyz, 9) for xyz in turned])))
         return path.name
     with replacing(path) as temporary:
-        write_layer(raw, temporary, "contours", _features(_placed(lines)), place.crs(surface).to_wkt())
+        write_layer(raw, temporary, "contours", _features(lines, places), place.crs(surface).to_wkt())
         write_styles(raw, temporary, {"contours": _STYLE})
     return path.name
 
 
-def _placed(lines: list[Line]) -> Iterator[tuple[np.ndarray, Line]]:
-    for line in lines:
-        yield np.c_[line.uv, np.full(len(line.uv), line.w)], line
-
-
-def _features(placed: Iterator[tuple[np.ndarray, Line]]) -> Layer:
-    return [
-        feature(
-            "LineString",
-            coordinates,
-            {"elevation_m": line.w, "index": line.index, "sigma_m": round(line.sigma, 4)},
-        )
-        for coordinates, line in placed
-    ]
+def _features(lines: list[Line], places: list[np.ndarray]) -> Layer:
+    about = [{"elevation_m": line.w, "index": line.index, "sigma_m": round(line.sigma, 4)} for line in lines]
+    return [feature("LineString", xyz, values) for xyz, values in zip(places, about)]

@@ -96,6 +96,13 @@ class Surface:
         beyond = 0.0 if len(share) == 2 else np.abs(np.diff(xyz, axis=1)).max() + np.abs(np.diff(xyz, axis=0)).max()
         return xyz.min(axis=(0, 1, 2)) - beyond, xyz.max(axis=(0, 1, 2)) + beyond
 
+    def above(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (3,) in the world of all that lies above and below a window of a map, or beyond the border there."""
+        low, high = self.box(window)
+        first = window.column == 0, window.row + window.rows == self.shape[0], True
+        last = window.column + window.columns == self.shape[1], window.row == 0, True
+        return np.where(first, -np.inf, low), np.where(last, np.inf, high)
+
 
 def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixel coordinates x, y (...) of world points (..., 3), and their depths (...); NaN where not in the image."""

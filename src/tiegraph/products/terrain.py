@@ -21,9 +21,9 @@ from contourpy import contour_generator
 from scipy import ndimage
 
 from tiegraph.products.heights import filled, planes
-from tiegraph.products.surface import Window, rounded_up
+from tiegraph.products.surface import Surface, Window, rounded_up
 from tiegraph.products.tuning import ContourTuning, TerrainTuning
-from tiegraph.scene.results import APART_SIGMAS
+from tiegraph.scene.results import APART_SIGMAS, Cloud
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
@@ -183,6 +183,26 @@ def terrain_tile(
         np.where(on_ground, sigma, np.where(known, level_sigma, np.nan))[inner],
     )
     return found[0].astype(np.float32), found[1].astype(np.float32)
+
+
+def on_terrain(
+    points: Cloud, surface: Surface, window: Window, w: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (N,) bool belong to a tile (those beyond the raster to the tiles at its border), and which of these
+    (M,) bool are ground: they lie on the terrain w, given with a margin of a pixel, within the sigmas of the point and
+    of the terrain (rows, columns) and its slope within a pixel."""
+    uvw = surface.frame.uvw(points.xyz_m)
+    pixel = np.stack([surface.high[1] - uvw[:, 1], uvw[:, 0] - surface.low[0]], axis=1) // surface.pixel_m
+    within = np.clip(pixel, 0, np.array(surface.shape) - 1)
+    at = (within - [window.row, window.column]).astype(int)
+    here = np.asarray(((at >= 0) & (at < [window.rows, window.columns])).all(axis=1))
+    row, column = at[here].T
+    slopes = np.abs(w[2:, 1:-1] - w[:-2, 1:-1]) + np.abs(w[1:-1, 2:] - w[1:-1, :-2])
+    rise = np.nan_to_num(slopes)[row, column] / 4
+    off = APART_SIGMAS * np.hypot(np.nan_to_num(points.sigma_m[here]), sigma[row, column]) + rise
+    with np.errstate(invalid="ignore"):
+        lies = np.abs(uvw[here, 2] - w[1:-1, 1:-1][row, column]) <= off
+    return here, np.asarray(lies & (pixel == within).all(axis=1)[here])
 
 
 # --- contour lines ----------------------------------------------------------------------------------------------------

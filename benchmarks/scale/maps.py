@@ -1,0 +1,111 @@
+"""Memory and time of a map over the number of its points: ``python -m benchmarks.scale.maps --millions 1 4 16 64``.
+
+Of each size a cloud is written (a rolling plain with houses, four points in a square of ``PIXEL``), and the program's
+own tiles of heights, terrain, contour lines and classified points are made of it on one process, without images. The
+peak is that of a process by itself, which grows up to the first full tile (4 million points; ``--tile`` makes smaller
+ones); the powers are those of CPU and memory between the sizes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.growth import exponent
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.pipeline.files import CLOUD
+from tiegraph.pipeline.products import TILE, _Work
+from tiegraph.pipeline.terrain import TerrainWork
+from tiegraph.products.frame import Frame
+from tiegraph.products.raster import Place
+from tiegraph.products.surface import MAP, Surface
+from tiegraph.products.tuning import Tuning
+from tiegraph.scene.copc import write_copc
+from tiegraph.scene.results import Cloud
+
+PIXEL, NOISE_M = 0.1, 0.02
+_PART = 500_000  # points written at once
+_ORIGIN = Origin(lat_deg=35.7, lon_deg=139.8, height_m=0.0, crs="EPSG:32654", shift_m=(388000.0, 3951000.0, 0.0))
+
+
+def parts(points: int) -> Iterator[Cloud]:
+    """The cloud strip by strip: as wide as it is long."""
+    side = PIXEL / 2
+    wide = int(np.sqrt(points))
+    rng = np.random.default_rng(0)
+    for first in range(0, wide, step := max(1, _PART // wide)):
+        x, y = np.meshgrid(np.arange(wide), np.arange(first, min(first + step, wide)))
+        x, y = ((v.ravel() + rng.uniform(0.1, 0.9, v.size)) * side for v in (x, y))
+        z = 3 * np.sin(x / 40) * np.cos(y / 55) + np.where((x % 40 < 12) & (y % 30 < 9), 6.0, 0.0)
+        z += NOISE_M * rng.normal(size=z.size)
+        yield Cloud(
+            xyz_m=np.stack([x, y, z], axis=1),
+            rgb=np.full((len(x), 3), 120, np.uint8),
+            normal=np.tile(np.float32([0, 0, 1]), (len(x), 1)),
+            sigma_m=np.full(len(x), NOISE_M, np.float32),
+            views=np.full(len(x), 4, np.uint8),
+            origin=_ORIGIN,
+        )
+
+
+def made(points: int, stage: str, folder: Path, tile: int) -> dict[str, float]:
+    """Write the cloud (``stage`` cloud) or make its map: CPU s and the peak of this process, MiB."""
+    start = time.process_time()
+    if stage == "cloud":
+        write_copc(lambda: parts(points), folder / CLOUD, PIXEL / 2, folder)
+    else:
+        edge = PIXEL * np.ceil(np.sqrt(points) / 2)
+        low, high = np.array([0.0, 0.0, -50.0]), np.array([edge, edge, 50.0])
+        surface = Surface(MAP, Frame(np.eye(4)), low, high, pixel_m=PIXEL, offset=np.array(_ORIGIN.shift_m))
+        about = {"place": Place(_ORIGIN), "tuning": Tuning(), "tile": tile}
+        heights = _Work(folder, surface, **about, pictures=None, views=[]).steps()[0]
+        for step in (heights, *TerrainWork(folder, surface, **about, objects_m=40.0).steps()):
+            for item in step.todo():
+                step.make(item)
+            step.finish()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"cpu_s": time.process_time() - start, "peak_mib": peak}
+
+
+def main() -> None:
+    """Print a row a size, and the powers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--millions", type=float, nargs="+", default=[1, 4, 16, 64])
+    parser.add_argument("--tile", type=int, default=TILE, help="pixels along the edge of a tile")
+    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    if args.child:
+        points, stage, folder = args.child
+        sys.stdout.write(json.dumps(made(int(points), stage, Path(folder), args.tile)) + "\n")
+        return
+    rows = []
+    for points in (int(m * 1e6) for m in args.millions):
+        row: dict[str, float] = {"points": points}
+        with tempfile.TemporaryDirectory() as folder:
+            for stage in ("cloud", "map"):
+                command = [sys.executable, "-m", "benchmarks.scale.maps", "--tile", str(args.tile)]
+                command += ["--child", str(points), stage, folder]
+                found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+                row |= {f"{stage}_{name}": value for name, value in found.items()}
+        rows.append(row)
+        sys.stdout.write(json.dumps(row) + "\n")
+        sys.stdout.flush()
+    sizes = np.array([r["points"] for r in rows])
+    powers = {n: exponent(sizes, np.array([r[n] for r in rows])) for n in rows[0] if n != "points"}
+    sys.stdout.write(json.dumps({"powers": powers}) + "\n")
+    if args.output:
+        args.output.write_text(json.dumps({"rows": rows, "powers": powers}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
