@@ -18,7 +18,7 @@ import worlds
 from campaign.process import Server
 from said import refused, says
 from tiegraph.cli.main import main
-from tiegraph.errors import ReconstructionError, SettingsError
+from tiegraph.errors import ReconstructionError
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene import atomic
 
@@ -173,15 +173,6 @@ def test_images_without_texture_end_in_a_report(tmp_path: Path, capsys: pytest.C
     assert says(said["contradictions"], "no pair verified.* 4 of 4 images show little contrast, 0.0 grey levels")
     assert not says(said["warnings"], "interrupted")
     assert not (out / "world.json").exists() and "no pair verified" in capsys.readouterr().err
-
-
-def test_setting_out_of_range_unknown_stage_preset_pool_and_input(refuses: Run, images: Path, tmp_path: Path) -> None:
-    refuses("--masks.difference", 999, said=("difference", "999"))
-    refuses(until="spasre")
-    refuses("--preset", "meguro2042")
-    refuses("--pool", "clowd")
-    with pytest.raises(SettingsError, match="gps"):
-        tiegraph.open(images, tmp_path / "out", gps="x.csv")
 
 
 @pytest.mark.parametrize("artefact", ["scene.json", "000002.jpg.png", "masks.json"])
