@@ -20,7 +20,7 @@ from tiegraph.scene.rig import Rig, Sensor
 import pycolmap  # isort: skip
 from benchmarks.odometrychecks import agreement, by_length, errors_over_sigmas
 
-from odometry.odometry_world import FRAMES, drive, single, stereo, true_path, truth
+from odometry.odometry_world import FRAMES, drive, single, true_path, truth
 from tiegraph.odometry.odometry import OdometryPath
 
 
@@ -179,12 +179,12 @@ def test_a_path_in_another_unit_and_world_agrees_and_one_that_bends_does_not():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cameras", [stereo, single])
-def test_the_sigmas_of_a_drive_are_neither_too_small_nor_too_wide(cameras):
-    """Of drives begun at three places and backwards: medians of some sixty relative poses, few of them independent."""
+def test_the_sigmas_of_a_drive_are_neither_too_small_nor_too_wide():
+    """Of one camera, in drives begun at two places and backwards: medians of some sixty relative poses, few of them
+    independent. Of two cameras: test_odometry_path."""
     rows = []
     for frames in (list(range(FRAMES)), list(range(6, FRAMES)), list(range(FRAMES))[::-1]):
-        path = drive(cameras(), frames)
+        path = drive(single(), frames)
         assert (path.segment == 0).all()
         rows += errors_over_sigmas(path, true_path(frames) if frames[0] == 0 else np.stack([truth(f) for f in frames]))
     assert len(rows) > 50

@@ -70,10 +70,11 @@ def believed(world):
 
 
 @pytest.mark.slow
-def test_the_model_finds_what_previews_miss(world, believed) -> None:
+def test_the_model_finds_what_counts_miss_that_decide_without_one(world, believed) -> None:
     found, asked = believed
     recall, precision = shares(found.pairs, world.useful(0.2))
     without, _ = network_of(world, None)
+    assert NO_MODEL in without.notes and without.coarse.model is None and not without.trusted.any()
     assert precision > shares(without.pairs, world.useful(0.2))[1] and recall > 0.9
     assert np.any(found.pairs.from_source("model") & ~found.pairs.from_source("offsets"))
     assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2 and asked[0].counts().min() >= 15
@@ -186,12 +187,6 @@ def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(wo
         found, _ = network_of(world, model, SETTINGS.model_copy(update={"axes_deg": limit}))
         kept = found.pairs.matrix(len(world.scene))[wide.i, wide.j] == 1
         assert np.any(kept & (wide.angle_deg > 55)) == steeper
-
-
-@pytest.mark.slow
-def test_without_a_model_counts_decide(world) -> None:
-    found, _ = network_of(world, None)
-    assert NO_MODEL in found.notes and found.coarse.model is None and not found.trusted.any()
 
 
 def lens(focal: float, x: float, y: float, known: bool = False) -> pycolmap.Camera:

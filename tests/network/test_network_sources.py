@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from place_world import Places, shuffled_ring, video
+from place_world import Places, video
 
 from boat_world import Result, World, boat, found, photos, quality, ring
 from network_steps import Steps, context_of, network_of
@@ -270,13 +270,12 @@ def test_a_camera_that_stopped_recording() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late", [2, 6])
-def test_cameras_that_did_not_start_together(late) -> None:
-    """Camera 2 lags: its k-th image belongs to the rig's frame k - late. The rig is wrong then; the ties are not."""
+def test_cameras_that_did_not_start_together() -> None:
+    """Camera 2 lags: its k-th image belongs to the rig's frame k - 6. The rig is wrong then; the ties are not."""
     world = boat((20, 16), (1.5, 1.9))
     sensor, at = world.scene.sensor, np.arange(len(world.scene))
     for k in np.flatnonzero(sensor == 2):
-        source = (sensor == 2) & (world.track == world.track[k]) & (world.step == max(0, world.step[k] - late))
+        source = (sensor == 2) & (world.track == world.track[k]) & (world.step == max(0, world.step[k] - 6))
         at[k] = np.flatnonzero(source)[0]
     tied(world.seen_from(at), 0.9, 0.45, 0.9)
 
@@ -328,22 +327,12 @@ def test_a_pass_written_anew_has_no_base() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [[0, 2, 1, 3, 4, 5], [0, 2, 4, 1, 3, 5]])
-def test_a_rig_file_with_cameras_in_another_order_is_called_wrong_and_loses_few_ties(order) -> None:
+def test_a_rig_file_with_cameras_in_another_order_is_called_wrong_and_loses_few_ties() -> None:
     rig = ring()
-    poses = [rig.sensors[k].sensor_from_rig for k in order]
+    poses = [rig.sensors[k].sensor_from_rig for k in (0, 2, 4, 1, 3, 5)]
     wrong = replace(rig, sensors=tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, poses)))
     network = tied(boat((20, 16), (1.5, 1.9), wrong), 0.85, 0.4, 0.85)
     assert any("check the rig file" in note for note in network.notes)
-
-
-@pytest.mark.slow
-def test_photographs_on_a_ring() -> None:
-    world = shuffled_ring(300)
-    network = network_of(photos(300), world.match)
-    recall, precision = found(network.pairs, world.useful())
-    assert recall > 0.95 and precision > 0.8
-    assert not any("components" in note or "no pair" in note for note in network.notes)
 
 
 @pytest.mark.slow
@@ -362,3 +351,4 @@ def test_a_video_with_a_loop_is_closed_by_retrieval() -> None:
     recall, precision = found(network.pairs, world.useful())
     assert recall > 0.95 and precision > 0.7 and world.asked < 10 * 400
     assert any("see the same place" in note for note in network.notes)
+    assert not any("components" in note or "no pair" in note for note in network.notes)

@@ -135,12 +135,6 @@ def test_final_mask_merges_the_initial_one():
     assert share(mask, slice(HORIZON + 8, DECK - 8)) > 0.9
 
 
-def test_result_is_made_of_whole_blocks():
-    mask = final_mask(frame(0), None, SETTINGS, PAPER)
-    blocks = mask.reshape(SHAPE[0] // 8, 8, SHAPE[1] // 8, 8).mean(axis=(1, 3))
-    assert set(np.unique(blocks)) <= {0.0, 1.0}
-
-
 def test_what_stays_is_masked_and_what_moves_is_used(tmp_path):
     mask = prepare_difference(sequence(tmp_path), MasksSettings(source="meguro2024"), TUNING)
     assert share(mask, slice(DECK + 8, None)) < 0.01

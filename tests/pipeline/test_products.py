@@ -119,7 +119,7 @@ def test_finished_tiles_stay_when_a_later_one_fails(made, tmp_path, monkeypatch)
     shutil.copytree(made, folder, symlinks=True)
     before = values(folder / "products")
     shutil.rmtree(folder / "products")
-    monkeypatch.setattr(glue, "TILE", 32)
+    monkeypatch.setattr(glue, "TILE", 48)
     done = []
 
     def failing(*args):

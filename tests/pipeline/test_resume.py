@@ -235,13 +235,14 @@ def test_a_signal_within_an_exec_ends_the_process_with_its_exit_code(tmp_path):
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="without Dask")
 def test_a_survey_over_two_workers_is_stopped_by_ctrl_c_and_goes_on(finished, server, tmp_path):
-    """In the midst of its masks, with one line; the next run does the rest, to the bytes of a run without Dask."""
-    out, clean = finished.after("scan", tmp_path / "out"), finished.clean[NAMES[-1]]
+    """In the midst of its depth maps, with one line; the next run does the rest, to the bytes of a run without Dask
+    (matches of a cluster: test_features_match)."""
+    out, clean = finished.after(before("dense"), tmp_path / "out"), finished.clean[NAMES[-1]]
     with dask_world.Commands(server, tmp_path / "dask").cluster(2) as (address, _):
         command = finished.command("out", "--pool", f"dask:{address}")  # relative: the workers' own folder is another
         running = server.start(command, tmp_path)
         end = time.monotonic() + PATIENCE_S
-        while not list((out / "masks").rglob("*.png")) and time.monotonic() < end:
+        while not list((out / "depth").rglob("*.npz")) and time.monotonic() < end:
             assert not running.poll()
             time.sleep(0.01)
         os.kill(running.pid, signal.SIGINT)
@@ -249,7 +250,7 @@ def test_a_survey_over_two_workers_is_stopped_by_ctrl_c_and_goes_on(finished, se
         last = stopped.text.strip().splitlines()[-1]
         assert stopped.code == 1 and not stopped.left and last.startswith("tiegraph: stopped"), stopped
         assert "Traceback" not in stopped.text and "distributed" not in stopped.text, stopped
-        assert not (out / "receipts" / "preview.json").exists()
+        assert not (out / "receipts" / "cloud.json").exists()
         again = server.run(command, tmp_path, PATIENCE_S)
     assert again.good, again
     assert "distributed" not in again.text and "Warning" not in again.text

@@ -54,17 +54,9 @@ def test_pipes_devices_and_rings_of_links_among_the_images_are_left_out_with_a_r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("option", ["--gnss", "--times", "--rig", "--trajectory", "--gcp"])
-def test_a_pipe_as_an_input_file_is_refused(images, tmp_path, option, capsys):
-    pipe = tmp_path / "pipe.toml"
-    os.mkfifo(pipe)
-    assert scanned(images, tmp_path / "out", option, str(pipe)) == 2
-    said = capsys.readouterr().err
-    assert str(pipe) in said and "a named pipe, not a file" in said
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pool", ["local:100000", "local:0", "local:-1", "local:x", "serial:3", "local:9" + "9" * 5000])
+@pytest.mark.parametrize(
+    "pool", ["local:100000", "local:0", "local:-1", "local:x", "serial:3", "clowd", "local:9" + "9" * 5000]
+)
 def test_an_impossible_pool_is_refused_before_anything_starts(images, tmp_path, pool, capsys):
     assert main(["run", str(images), "-o", str(tmp_path / "out"), "--pool", pool]) == 2
     said = capsys.readouterr().err

@@ -69,7 +69,7 @@ def test_a_sigma_covers_another_place_of_a_frame(world) -> None:
 def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
     truth, scene = world
     true, off, pairs = frame_centres(truth, scene), [], []
-    for seed in range(12):
+    for seed in range(6):
         model = _noisy(truth, 0.5, seed)
         predicted = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
         off.append(off_after_similarity(frame_centres(model, scene), true))
@@ -119,7 +119,7 @@ def test_sigma_is_right_for_errors_with_tails_that_tracks_share(world) -> None:
     truth, scene = world
     true = frame_centres(truth, scene)
     actual, predicted = [], []
-    for seed in range(24):
+    for seed in range(12):
         model = _with_tails(truth, seed)
         actual.append(np.sum(off_after_similarity(frame_centres(model, scene), true) ** 2))
         predicted.append(np.sum(position_sigma(model, tuning=TUNING).sigma ** 2))

