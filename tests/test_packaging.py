@@ -63,6 +63,16 @@ def test_the_conda_recipe_is_that_of_the_project():
     assert {n: SpecifierSet(b) for n, b in host.items()} == built
 
 
+def test_rattler_build_renders_the_conda_recipe():
+    """For two versions of Python; without channels nothing is solved or built. The tool is installed by hand."""
+    rattler = pytest.importorskip("rattler_build")
+    pythons = {"3.10.* *_cpython": True, "3.13.* *_cp313": False}
+    chosen = {"python": list(pythons), "cxx_compiler": ["gxx"], "c_stdlib": ["sysroot"]}
+    recipe = rattler.Stage0Recipe.from_file(str(ROOT / "packaging" / "conda" / "recipe.yaml"))
+    rendered = [v.recipe.to_dict()["requirements"]["run"] for v in recipe.render(rattler.VariantConfig(chosen))]
+    assert ["tomli >=2" in run for run in rendered] == list(pythons.values())
+
+
 @pytest.mark.parametrize("path", [".github/workflows/ci.yml", ".github/workflows/wheels.yml", ".gitlab-ci.yml"])
 def test_workflows_can_be_read_and_call_what_is_there(path):
     text = (ROOT / path).read_text()

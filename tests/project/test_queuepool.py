@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -44,8 +45,12 @@ def queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.mark.slow
 def test_jobs_of_the_queue_do_the_work(queue: Path, tmp_path: Path) -> None:
     said: list[str] = []
+    for name in [name for name in sys.modules if name.startswith("dask_jobqueue")]:
+        del sys.modules[name]  # which takes Ctrl-C for itself when it is loaded
+    stopping = signal.getsignal(signal.SIGINT)
     executor, workers = open_pool("slurm:1", Place(tmp_path, say=said.append))
     try:
+        assert signal.getsignal(signal.SIGINT) is stopping
         assert said == ["pool slurm: 1 job submitted; the run begins when the queue starts the first (squeue shows it)"]
         assert workers == 1
         (group,) = set(map_items(executor, workers, os.getpgid, [0, 0, 0]))

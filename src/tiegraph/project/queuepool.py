@@ -2,6 +2,7 @@
 file, ``~/.config/dask/jobqueue.yaml``.
 """
 
+import signal
 import time
 from concurrent.futures import Executor
 from contextlib import suppress
@@ -15,11 +16,13 @@ def open_slurm(jobs: int, place: Place | None) -> tuple[Executor, int]:
     """(executor, number of workers at first) of a scheduler in this process, once a job has begun, which may take the
     queue hours. Raises EngineMissing without dask-jobqueue, SettingsError if its file does not say what a job is,
     InputError if `sbatch` takes none, and as ``open_dask``."""
+    stopping = signal.getsignal(signal.SIGINT)
     try:
         import dask
         from dask_jobqueue import SLURMCluster
     except ImportError:
         raise EngineMissing("the slurm pool needs dask-jobqueue: pip install 'tiegraph[slurm]'") from None
+    signal.signal(signal.SIGINT, stopping)  # dask-jobqueue's own handler would end the run without a word
     try:
         # A worker makes one item at a time: as many as there are cores
         cluster = SLURMCluster(processes=dask.config.get("jobqueue.slurm.cores", None) or 1)
