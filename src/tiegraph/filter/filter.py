@@ -8,7 +8,7 @@ impossible distances.
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pycolmap
@@ -63,12 +63,6 @@ class Matches:
         return first, second
 
 
-def _camera(camera: Camera) -> pycolmap.Camera:
-    made = camera_from_dict(dict(camera))
-    assert made is not None
-    return made
-
-
 @cached_by_file(maxsize=2)
 def _connection(database: str) -> Rows:
     return Rows(Path(database), any_thread=True)
@@ -78,7 +72,8 @@ def _connection(database: str) -> Rows:
 def _rays(database: str, image: int, camera: Camera) -> np.ndarray:
     """(K, 3) unit rays of an image's key points in the sensor frame."""
     points = _connection(database).keypoints_of(image + 1)
-    return np.nan_to_num(pixel_rays(_camera(camera), points)) if len(points) else np.zeros((0, 3))
+    lens = cast(pycolmap.Camera, camera_from_dict(dict(camera)))  # ``Matches.of`` refuses a sensor without one
+    return np.nan_to_num(pixel_rays(lens, points)) if len(points) else np.zeros((0, 3))
 
 
 def forget() -> None:

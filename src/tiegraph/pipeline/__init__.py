@@ -51,7 +51,7 @@ STAGES = (
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=11),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
-    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=7,
+    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=8,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=9,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
@@ -74,11 +74,11 @@ STAGES = (
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=6,
            scratch=(".tiles",), tuned=("evaluate",)),
-    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=4,
+    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=5,
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=10, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=15, alone=True),
+           version=11, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
+    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=16, alone=True),
 )
 # fmt: on
 
