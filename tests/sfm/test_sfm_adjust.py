@@ -24,6 +24,7 @@ from tiegraph.sfm.adjustment.adjust import (
     take_poses,
     take_possible,
     thinned,
+    without_outliers,
 )
 from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning, Tuning
 
@@ -60,6 +61,30 @@ def test_what_one_shot_alone_saw_goes_unless_a_frame_has_little_else(tmp_path: P
     before = sorted(model.point3D_ids())
     assert _momentary(model) == before and drop_momentary(model, TUNING.enough_seen) == 0
     assert np.array_equal(sorted(model.point3D_ids()), before)
+
+
+def _in_a_lens(model: pycolmap.Reconstruction) -> int:
+    """Move a point to where it stands right before a camera that sees it, and before others too; returns its id."""
+    for key in sorted(model.point3D_ids()):
+        point = model.point3D(key)
+        seen = [model.image(e.image_id) for e in point.track.elements]
+        for image in seen:
+            moved = image.projection_center() + 1e-4 * (point.xyz - image.projection_center())
+            if sum((i.cam_from_world() * moved)[2] > 0 for i in seen) > 2:
+                point.xyz = moved
+                return key
+    raise AssertionError("no point moves before a camera")
+
+
+def test_a_point_in_a_lens_goes(tmp_path: Path) -> None:
+    """What stands still in the images of a camera at rest has no error there."""
+    model, _ = make_world(tmp_path / "database.db", points=200)
+    before, loose = set(model.point3D_ids()), TUNING.model_copy(update={"filter_px": 1e9})
+    without_outliers(model, loose)
+    assert set(model.point3D_ids()) == before
+    inside = _in_a_lens(model)
+    without_outliers(model, loose)
+    assert set(model.point3D_ids()) == before - {inside}
 
 
 @pytest.mark.parametrize(("focal_px", "kept"), [(158120.0, [3]), (-1.0, [3]), (None, [])])

@@ -5,6 +5,7 @@ from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -67,6 +68,19 @@ def test_views_straight_on_do_not_determine_it() -> None:
 def test_few_pairs_do_not_determine_it() -> None:
     assert focal_length(some(5), SIZE, FocalTuning()) is None
     assert focal_length([], SIZE, FocalTuning()) is None
+
+
+def test_matches_that_no_geometry_explains_tell_nothing() -> None:
+    """Of these, seven of which are one match, OpenCV fails at an assertion."""
+    rng = np.random.default_rng(1279)
+    n = int(rng.integers(8, 60))
+    a = rng.uniform(0, 500, (n, 2))
+    b = np.where(rng.random((n, 1)) < 0.5, a, rng.uniform(0, 500, (n, 2)))
+    a[: n // 2], b[: n // 2] = a[0], b[0]
+    tuning = FocalTuning(error=0.1 / SIZE[0])
+    with pytest.raises(cv2.error, match="empty"):
+        cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, 0.1, 0.999, 1000)
+    assert focal_length(some(40) + 20 * [(a, b)], SIZE, tuning) == pytest.approx(400, rel=0.12)
 
 
 def with_cameras(scene: Scene, cameras: list[pycolmap.Camera]) -> Scene:

@@ -118,11 +118,12 @@ def _curve(a: np.ndarray, b: np.ndarray, size: tuple[int, int], tuning: FocalTun
     """Relative difference (T,) of the two singular values for the tried focal lengths; None if the matches (K, 2),
     (K, 2) px show a plane or no rotation."""
     a, b, error = np.asarray(a, float), np.asarray(b, float), tuning.error * max(size)
-    matrix, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, error, _CONFIDENCE, _TRIALS)
-    if matrix is None or matrix.shape != (3, 3):
+    try:
+        matrix, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, error, _CONFIDENCE, _TRIALS)
+        _, flat = cv2.findHomography(a, b, cv2.USAC_MAGSAC, error, None, _TRIALS, _CONFIDENCE)
+    except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
         return None
-    _, flat = cv2.findHomography(a, b, cv2.USAC_MAGSAC, error, None, _TRIALS, _CONFIDENCE)
-    if flat is not None and flat.sum() > tuning.flat * inliers.sum():
+    if matrix is None or matrix.shape != (3, 3) or (flat is not None and flat.sum() > tuning.flat * inliers.sum()):
         return None
     k = np.zeros((len(TRIED), 3, 3))
     k[:, 0, 0] = k[:, 1, 1] = TRIED * max(size)

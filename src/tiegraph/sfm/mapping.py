@@ -189,7 +189,8 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     if length is None or not np.isfinite(length[0]) or 1 / most < length[0] < most:
         return outcome
     again = _run(_starting_at(job, poses), "preview", "with the path scaled to the rig")
-    if again.refused or again.registered < tuning.mapping.clearly_fewer * outcome.registered:
+    fewer = again.registered < tuning.mapping.clearly_fewer * outcome.registered
+    if fewer or (again.refused and again.registered <= outcome.registered):
         job.account.notes.append(
             f"the path of the model should be {length[0]:.3g} times as long to agree with its rig, by {length[1]}; "
             f"with that length fewer images could be placed ({again.registered} of {outcome.registered}), so it was "

@@ -12,6 +12,7 @@ from tiegraph.sfm.adjustment.constraints import NOTHING, PoseConstraints, add_pr
 from tiegraph.sfm.tuning import AdjustTuning, FewPointsTuning
 
 Cameras = dict[int, pycolmap.Camera] | pycolmap.CameraMap
+_AT_LENS = 1e-3  # of the median distance of a point: what is nearer stood still in the images while the camera did
 
 
 @dataclass(frozen=True)
@@ -99,10 +100,23 @@ def adjusted_to(
 
 
 def without_outliers(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> None:
-    """Remove the points that the robust loss gave up; points that went behind a camera have an infinite error."""
+    """Remove the points that the robust loss gave up; points that went behind a camera have an infinite error.
+
+    Dirt on a lens, or the pattern of a lamp's light, stands still in the images. While the camera stands too, such a
+    point moves into the lens without any error: one at 9 micrometres made the normal equations of a whole rig void.
+    """
     manager = pycolmap.ObservationManager(model)
     manager.filter_observations_with_negative_depth()
     manager.filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
+    nearest: dict[int, float] = {}
+    for image in (model.image(i) for i in model.reg_image_ids()):
+        centre = image.projection_center()
+        for key in {p.point3D_id for p in image.get_observation_points2D()}:
+            away = float(np.linalg.norm(model.point3D(key).xyz - centre))
+            nearest[key] = min(away, nearest.get(key, np.inf))
+    least = _AT_LENS * float(np.median(list(nearest.values()))) if nearest else 0.0
+    for key in [k for k, away in nearest.items() if away < least]:
+        model.delete_point3D(key)
     model.update_point_3d_errors()
 
 
