@@ -92,7 +92,7 @@ class PriorTest:
     solution: RigSolution
     system: RigSystem
     known: Expected
-    beyond: tuple[int, ...] = ()  # sensors that would move too far for one step of an adjustment: nothing is freed
+    beyond: tuple[int, ...] = ()  # sensors that would move too far for one step of an adjustment: they stay held
 
     def solve(self, freed: Collection[Group]) -> RigSolution:
         """The solution in which these groups are free."""
@@ -114,6 +114,12 @@ class PriorTest:
     def times_alone_s(self) -> dict[int, tuple[float, float]]:
         """The same with everything else as given."""
         return self.times(self.solve((TIMES,)))
+
+    def out_of_reach(self) -> tuple[int, ...]:
+        """The sensors with a freed value beyond the range in which it was freed."""
+        sigma = self.known.sigma(self.system, self.freed)
+        of = [k for group in self.freed for k in _members(self.system, group)]
+        return tuple(sorted({self.system.keys[k][1] for k in of if abs(self.solution.value[k]) > LIMIT * sigma[k]}))
 
     def late(self) -> bool:
         """Whether a camera certainly fires at another time than its reference, by a visible amount."""
@@ -201,11 +207,14 @@ def _contradicted(system: RigSystem, known: Expected, candidates: Collection[Gro
 
 
 def _within_reach(found: PriorTest) -> PriorTest:
-    """The same; nothing freed if a value exceeds its freed range, because the system is not linear there."""
-    sigma = found.known.sigma(found.system, found.freed)
-    of = [k for group in found.freed for k in _members(found.system, group)]
-    sensors = sorted({found.system.keys[k][1] for k in of if abs(found.solution.value[k]) > LIMIT * sigma[k]})
-    return replace(found, freed=(), beyond=tuple(sensors)) if sensors else found
+    """The same. If a value exceeds its freed range nothing is freed, because the system is not linear there, except for
+    times that the images demand: the test is made again with each camera at its own time."""
+    sensors = found.out_of_reach()
+    if not sensors:
+        return found
+    timed = replace(found, freed=(TIMES,), solution=found.solve((TIMES,)), beyond=sensors)
+    use = TIMES in found.freed and not timed.out_of_reach()
+    return timed if use else replace(timed, freed=(), solution=found.solution)
 
 
 def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:
