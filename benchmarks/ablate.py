@@ -24,7 +24,6 @@ VARIANTS = (
     Variant("retrieval off", {"candidates": {"sources": ["sequence", "offsets"]}}, "no look-alikes"),
     Variant("coarse model off", {"coarse": {"method": "off"}}, "counts of preview matches decide"),
     Variant("trust off", {"tuning": {"network": {"coarse": {"tries": 1}}}}, "the first coarse model is taken"),
-    Variant("view-graph filtering off", {"filter": {"method": "off"}}, "no pair is refused"),
     Variant("minimum cut off", {"tuning": {"design": {"wanted": 0.01}}}, "no pairs to hold the parts"),
     Variant("law of matches off", {"tuning": {"design": {"match_prediction": {"least_previewed": 10**9}}}}, "usual"),
     Variant("design even where cheap", {"tuning": {"design": {"few_pairs": 0.0}}}, "small sets are chosen from"),

@@ -40,7 +40,7 @@ Settings = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Variant:
-    """Settings, by section, that differ from the survey as it is: ``{"tuning": {"filter": {"loops": ...}}}``."""
+    """Settings, by section, that differ from the survey as it is: ``{"tuning": {"sfm": {"rig": ...}}}``."""
 
     name: str
     settings: Settings = field(default_factory=dict)

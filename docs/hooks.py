@@ -16,7 +16,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tiegraph"
 PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
-CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "filter", "sfm", "dense", "cloud")
+CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "sfm", "dense", "cloud")
 CHAPTERS += (
     "products",
     "mesh",

@@ -90,7 +90,7 @@ def finished(
     world = {"scale_source": "gnss", "origin": None if origin is None else origin.to_dict(), "placement_error": error}
     (out / "world.json").write_text(json.dumps(world))
     pairs = Pairs.make(np.array([0, 0, 1]), np.array([1, 2, 3]), "offsets", inliers=np.array([50, 20, 10]))
-    np.savez(out / "filter.npz", **{n: getattr(pairs, n) for n in pairs.columns()})
+    np.savez(out / "match.npz", **{n: getattr(pairs, n) for n in pairs.columns()})
     _write_masks_and_depth(out, model)
     return Made(tiegraph.open(folder / "images", out, pool="serial"), model, scene, points)
 

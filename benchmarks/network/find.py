@@ -28,7 +28,6 @@ from benchmarks.network import overlap as truths
 from benchmarks.network.lists import METHODS as LISTS
 from benchmarks.network.lists import NEED_PREVIEWS
 from tiegraph.errors import InputError
-from tiegraph.pipeline import STAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -126,7 +125,7 @@ def _row(dataset: datasets.Dataset, method: str, work: Path, args: argparse.Name
 def _kept(dataset: datasets.Dataset, args: argparse.Namespace) -> Path | None:
     """A finished default run of the set, where there is one."""
     out = args.runs / f"{dataset.name}-tiegraph-0" / "out" if args.runs else None
-    return out if out is not None and (out / "filter.npz").exists() else None
+    return out if out is not None and (out / "match.npz").exists() else None
 
 
 def _base(dataset: datasets.Dataset, folder: Path, args: argparse.Namespace) -> dict[str, Any]:
@@ -153,13 +152,12 @@ def _found(
             said["peak_mib"] = max(said["peak_mib"], base["peak_mib"])
     elif method == TIEGRAPH and (kept := _kept(dataset, args)) is not None:
         said = finished_tiegraph(kept, work / method, "network")
-        said["verified_cpu_s"] = finished_tiegraph(kept, work / method, "filter")["cpu_s"]
+        said["verified_cpu_s"] = finished_tiegraph(kept, work / method, "match")["cpu_s"]
     else:
         options = [] if method == TIEGRAPH else ["--preset", method]
         said = run_tiegraph(dataset, work / method, [*options, "--until", "network"], args.timeout)
         if args.verified and said["returncode"] == 0:
-            last = "filter" if any(stage.name == "filter" for stage in STAGES) else "match"
-            more = run_tiegraph(dataset, work / method, [*options, "--until", last], args.timeout)
+            more = run_tiegraph(dataset, work / method, [*options, "--until", "match"], args.timeout)
             said["verified_cpu_s"] = more["cpu_s"]
     code = said.pop("returncode")
     status = {"status": "done"} if code == 0 else {"status": "timeout" if code is None else "failed"}
@@ -262,8 +260,8 @@ def _verified(method: str, row: dict[str, Any], folder: Path, truth: Truth, data
     that of exhaustive matching by the number of pairs (``verified_cpu_estimated``).
     """
     if method not in LISTS:
-        path = next((p for p in (folder / "out" / f"{n}.npz" for n in ("filter", "match")) if p.exists()), None)
-        if path is None or "verified_cpu_s" not in row:
+        path = folder / "out" / "match.npz"
+        if not path.exists() or "verified_cpu_s" not in row:
             return {}
         kept = _table(path).kept()
         kept = kept.where(kept.inliers >= truths.VERIFIED)

@@ -40,7 +40,6 @@ STEPS: dict[str, Callable[[Receipts], bool]] = {
     "rig check": _said("candidates", "rig "),
     "coarse model": _asked("coarse", "method", "off"),
     "choice of pairs": _asked("design", "method", "all"),
-    "view-graph filtering": _asked("filter", "method", "off"),
     "rig, positions or a second try of the mapper": _mapped,
     "final adjustment": _said("sparse", "adjustment", "principal points"),
     "checks of frames, rig and lenses": _tables(

@@ -22,7 +22,6 @@ from benchmarks.accuracy import evaluate
 from benchmarks.sfm.finished import arguments, each_run
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import image_poses
-from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.finish import finish_model
 from tiegraph.sfm.mapping import believed_cameras
@@ -55,11 +54,7 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
 def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
     modes = rig_modes(scene, "auto")
     constant = believed_cameras(scene, SparseSettings())
-    with np.load(folder / "filter.npz") as data:
-        pairs = Pairs.from_npz(dict(data))
-    away = pairs.where(pairs.dropped == REASONS.index("repeat"))
-    refused = tuple(zip(away.i.tolist(), away.j.tolist()))
-    graph = ViewGraph(folder / "database.db", scene, SparseSettings().min_matches, refused)
+    graph = ViewGraph(folder / "database.db", scene, SparseSettings().min_matches)
     alone = unsupported_sensors(scene, graph, modes, Tuning().rig.support)
     return FinishRequest(
         folder=folder / "sparse" / "0",
@@ -68,7 +63,7 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
         scene=scene,
         tuning=Tuning(),
         held=Held(modes=modes, unsupported=alone, cameras=constant),
-        matched=MatchSource(folder / "database.db", (*refused, *ties_of(scene, graph, alone))),
+        matched=MatchSource(folder / "database.db", ties_of(scene, graph, alone)),
     )
 
 

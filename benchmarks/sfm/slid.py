@@ -35,7 +35,6 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import robust_umeyama
 from tiegraph.scene.colmapmodel import image_poses, model_rigs, read_model
 from tiegraph.scene.colmaprows import read_cache
-from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source
@@ -60,10 +59,6 @@ class Run:
     def __init__(self, name: str, out: Path, work: Path) -> None:
         self.name, self.out, self.work, self.tuning = name, out, work, Tuning()
         self.scene = Scene.from_json((out / "network" / "scene.json").read_text()).measured()
-        with np.load(out / "filter.npz") as data:
-            pairs = Pairs.from_npz(dict(data))
-        away = pairs.where(pairs.dropped == REASONS.index("repeat"))
-        self.refused = tuple(zip(away.i.tolist(), away.j.tolist()))
         model = read_model(out / "sparse" / "0")
         self.scene = self.scene.with_(rigs=model_rigs(model, self.scene))
         self.poses = image_poses(model, self.scene)
@@ -118,10 +113,10 @@ class Run:
     def request(self, poses: np.ndarray) -> Request:
         """To map from poses (N, 4, 4)."""
         settings = SparseSettings()
-        source = Source(self.database, None, self.refused, preview=poses)
+        source = Source(self.database, None, preview=poses)
         job = Job(
             source, self.work, self.scene, settings, self.tuning, SceneTuning(), self.work / "log.txt",
-            ViewGraph(source.database, self.scene, settings.min_matches, self.refused), Account(),
+            ViewGraph(source.database, self.scene, settings.min_matches), Account(),
             {k: mode for k, mode in rig_modes(self.scene, settings.rig).items() if mode != "derived"},
         )  # fmt: skip
         return _request(job, "preview")
@@ -132,7 +127,7 @@ class Run:
         if not made.folders:
             return None, [], made.refused
         model = read_model(made.folders[0])
-        found = leave_out_doubtful(model, self.scene, MatchSource(self.database, self.refused), self.tuning.placement)
+        found = leave_out_doubtful(model, self.scene, MatchSource(self.database), self.tuning.placement)
         return model, found.notes, ""
 
     def suspects(self, poses: np.ndarray) -> set[int]:
@@ -140,9 +135,9 @@ class Run:
         request = self.request(poses)
         if self._cache is None:
             working, rigs = self.work / "working.db", {k: self.scene.rigs[k] for k in request.rigs.given}
-            write_working_copy(self.database, working, self.scene, rigs, None, self.refused, None)
+            write_working_copy(self.database, working, self.scene, rigs, None, None)
             self._cache = read_cache(working, request.matches.least)
-            self._verified = read_verified(self.database, self.scene, self.refused)
+            self._verified = read_verified(self.database, self.scene)
         model = pycolmap.Reconstruction()
         model.load(self._cache)
         rigs = {k: self.scene.rigs[k] for k in request.rigs.given}

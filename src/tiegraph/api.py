@@ -248,9 +248,9 @@ class Project:
         return surface_of(self.as_run())
 
     def pairs(self) -> Pairs:
-        """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""
-        there = [p for n in ("filter.npz", "match.npz") if (p := self.folder / n).exists()]
-        return _read_pairs(there[0] if there else self._needed("pairs.npz", "design"))
+        """The pair table of the last stage that made one: `match` (with inliers) or `design`."""
+        matched = self.folder / "match.npz"
+        return _read_pairs(matched if matched.exists() else self._needed("pairs.npz", "design"))
 
     def model(self) -> Any:
         """The georeferenced model, a ``pycolmap.Reconstruction``."""

@@ -12,13 +12,13 @@ from benchmarks.scale import stages
 from benchmarks.variants import Book, Variant, median, spread
 
 from benchmarks import ablate, sweep
-from tiegraph.filter.tuning import Tuning as FilterTuning
 from tiegraph.project.settings import Tunings, merged
+from tiegraph.targets.tuning import Tuning as TargetsTuning
 
 
 def test_every_number_of_the_constants_is_found_by_its_place():
     found = dict(sweep.numbers(Tunings()))
-    assert found["filter.matches_a_pair"] == 150 and found["scene.course.margin"] == 2.0
+    assert found["targets.looked_at"] == 60 and found["network.coarse.course.margin"] == 2.0
     assert not any("ladder" in place for place in found)  # a table of numbers
     assert len(found) > 500
 
@@ -26,11 +26,11 @@ def test_every_number_of_the_constants_is_found_by_its_place():
 @pytest.mark.parametrize(
     "place, value, factor, new",
     [
-        ("filter.matches_a_pair", 150, 4 / 3, 200),
+        ("targets.looked_at", 60, 4 / 3, 80),
         ("network.poses.prior.near_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
-        ("scene.course.margin", 2.0, 2 / 3, 4 / 3),
-        ("scene.course.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
-        ("filter.max_refused", 0.9, 4 / 3, None),  # no share above 1
+        ("network.coarse.course.margin", 2.0, 2 / 3, 4 / 3),
+        ("network.coarse.course.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
+        ("targets.refine_share", 0.9, 4 / 3, None),  # no share above 1
     ],
 )
 def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, factor, new):
@@ -45,14 +45,15 @@ def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, facto
 
 
 def test_a_group_moves_what_its_tuning_lets_move_together():
-    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("scene.course.", "filter.matches_a_pair"))]
+    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("network.coarse.course.", "targets.looked"))]
     groups = {v.name: merged(v.settings).tuning for v in sweep.grouped(asked, 2 / 3)}
     assert len(groups) == 2
     (name, course), (_, own) = sorted(groups.items(), key=lambda g: "course" not in g[0])
     default = Tunings()
-    moved = [n for n, v in sweep.numbers(default.scene.course) if dict(sweep.numbers(course.scene.course))[n] != v]
-    assert len(moved) == int(name.split()[1]) >= 4 and course.filter == default.filter
-    assert own.filter.matches_a_pair == 100 and own.scene == default.scene
+    now = dict(sweep.numbers(course.network.coarse.course))
+    moved = [n for n, v in sweep.numbers(default.network.coarse.course) if now[n] != v]
+    assert len(moved) == int(name.split()[1]) >= 4 and course.targets == default.targets
+    assert own.targets.looked_at == 40 and own.network == default.network
 
 
 def test_every_subsystem_that_is_switched_off_is_a_valid_setting():
@@ -60,7 +61,7 @@ def test_every_subsystem_that_is_switched_off_is_a_valid_setting():
     assert len(set(names)) == len(names)
     for variant in ablate.VARIANTS:
         assert merged(variant.settings) != merged({}), f"{variant.name} changes nothing"
-    assert merged({"tuning": {"filter": {"matches_a_pair": 150}}}).tuning.filter == FilterTuning()
+    assert merged({"tuning": {"targets": {"looked_at": 60}}}).tuning.targets == TargetsTuning()
 
 
 def row(registered, ate, cpu=10.0):

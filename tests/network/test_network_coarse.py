@@ -15,10 +15,9 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel, explained, with_surface
 from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import TracksTuning, Tuning
+from tiegraph.network.tuning import CourseTuning, TracksTuning, Tuning
 from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.tuning import CourseTuning
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()
 

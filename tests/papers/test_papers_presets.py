@@ -39,7 +39,6 @@ DEFAULT = Settings()
 SWITCHES = {
     "coarse.method": ("off", "mapper"),
     "design.method": ("all", "hybrid"),
-    "filter.method": ("off", "auto"),
     "sparse.rig": ("absent", "auto"),
     "sparse.mapper": ("incremental", "auto"),
     "sparse.use_positions": (False, True),
@@ -184,7 +183,6 @@ def receipts(**changed: dict) -> dict:
         "candidates": {"notes": ["up runs back along down"]},
         "coarse": {"settings": {"method": "off"}},
         "design": {"settings": {"method": "all"}},
-        "filter": {"settings": {"method": "off"}},
         "sparse": {"counts": {}, "tables": {"runs": RUNS, "models": {}}, "notes": []},
         "georef": {"settings": {"antenna": "ignored", "adjust": "no"}, "notes": [], "tables": {}},
     }
@@ -197,7 +195,6 @@ def receipts(**changed: dict) -> dict:
         ("rig check", {"candidates": {"notes": ["rig boat: the images agree with its sense of rotation"]}}),
         ("coarse model", {"coarse": {"settings": {"method": "mapper"}}}),
         ("choice of pairs", {"design": {"settings": {"method": "hybrid"}}}),
-        ("view-graph filtering", {"filter": {"settings": {"method": "auto"}}}),
         ("final adjustment", {"sparse": {"notes": ["final robust adjustment: 0.3 -> 0.2 px"]}}),
         ("checks of frames, rig and lenses", {"sparse": {"tables": {"runs": RUNS, "rig diagnostics": {}}}}),
         ("sigmas of the model", {"sparse": {"counts": {"position_sigma_median": 0.1}}}),

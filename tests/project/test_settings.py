@@ -45,8 +45,8 @@ def test_every_preset_is_valid_and_changes_what_it_says():
         ({"mask": {"source": "none"}}, r"unknown setting 'mask': perhaps you meant 'masks'"),
         ({"masks": {"difference": 999}}, r"masks.difference = 999.*254"),
         ({"tuning": {"sfm": {"start_check": {"of": 3}}}}, r"'tuning.sfm.start_check.of': perhaps you meant 'off'"),
-        ({"tuning": {"scene": {"course": {"margin": 0.5}}}}, r"tuning.scene.course.margin = 0.5"),
-        ({"tuning": {"fliter": {}}}, r"'tuning.fliter': perhaps you meant 'filter'"),
+        ({"tuning": {"network": {"coarse": {"most_focal": 0.5}}}}, r"tuning.network.coarse.most_focal = 0.5"),
+        ({"tuning": {"netwrok": {}}}, r"'tuning.netwrok': perhaps you meant 'network'"),
     ],
 )
 def test_typos_are_refused_with_the_nearest_name(given, words):
@@ -64,20 +64,20 @@ def test_about_seventy_settings_at_most():
 def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / SETTINGS).write_text("[tuning.filter]\nmatches_a_pair = 9\n[tuning.sfm.mapping]\nclearly_fewer = 0.7\n")
+    (out / SETTINGS).write_text("[tuning.targets]\nlooked_at = 9\n[tuning.sfm.mapping]\nclearly_fewer = 0.7\n")
     project = open_project(tmp_path, out, settings={"tuning": {"sfm": {"mapping": {"roughly_fewer": 0.4}}}})
     tuning = project.settings.tuning
     mapping = tuning.sfm.mapping
-    assert (tuning.filter.matches_a_pair, mapping.clearly_fewer, mapping.roughly_fewer) == (9, 0.7, 0.4)
+    assert (tuning.targets.looked_at, mapping.clearly_fewer, mapping.roughly_fewer) == (9, 0.7, 0.4)
     assert mapping.second_survey == 10
     project.save()
     assert open_project(out=out).settings == project.settings
-    changed_values = {"filter": {"matches_a_pair": 9}, "sfm": {"mapping": {"clearly_fewer": 0.7, "roughly_fewer": 0.4}}}
+    changed_values = {"targets": {"looked_at": 9}, "sfm": {"mapping": {"clearly_fewer": 0.7, "roughly_fewer": 0.4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
-    only = open_project(tmp_path, out / "filter", settings={"tuning": {"filter": {"matches_a_pair": 9}}}).settings
+    only = open_project(tmp_path, out / "targets", settings={"tuning": {"targets": {"looked_at": 9}}}).settings
     before, after = (stage_keys(STAGES, s, {"images": 1}, Stamps(out)) for s in (Settings(), only))
-    needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "products", "evaluate", "report"}
-    assert {name for name in before if before[name] != after[name]} == needs_filter
+    needs_targets = {"georef", "refine", "dense", "cloud", "products", "evaluate", "report"}
+    assert {name for name in before if before[name] != after[name]} == needs_targets
 
 
 def test_precedence_defaults_preset_file_call(tmp_path):

@@ -114,7 +114,6 @@ VERBS: dict[str, Verb] = {
     "design": Verb("stage: makes pairs.npz, pairs.txt, pairs, design"),
     "features": Verb("stage: makes database.db"),
     "match": Verb("stage: makes match.npz"),
-    "filter": Verb("stage: makes filter.npz"),
     "sparse": Verb("stage: makes sparse"),
     "georef": Verb("stage: makes sparse/world, world.json"),
     "refine": Verb("stage: makes refine/masks, refine/classes"),

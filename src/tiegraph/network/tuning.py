@@ -129,6 +129,23 @@ class TracksTuning(Section):
     """Smallest angle between two of its rays."""
 
 
+class CourseTuning(Section):
+    """Matches against a rough model (`model.py`)."""
+
+    steps: int = Field(24, gt=1)
+    """Distances between the nearest and the farthest at which a ray is followed."""
+    margin: float = Field(2.0, ge=1)
+    """Distances outside those of the image's model points by this factor are still possible."""
+    tolerance_deg: float = Field(1.0, gt=0)
+    """Largest deviation from the course: preview key points are good to 0.2 degrees, rotations of their model to 0.15
+    (canal)."""
+    min_share: float = Field(0.25, ge=0, le=1)
+    """Share of a pair's matches that must agree with the model. On canal (chosen there) it keeps 99.1 % of the pairs
+    most of whose matches are true and 4 of 217 of which hardly any is; on canal_demo 98.6 % and 0 of 4."""
+    any_distance: float = Field(10.0, ge=1)
+    """Times nearer than the nearest point of the model, and farther than the farthest: any distance."""
+
+
 class CoarseTuning(Section):
     """The coarse model (`search.py`, `model.py`)."""
 
@@ -146,6 +163,8 @@ class CoarseTuning(Section):
     """Which images see the same surface."""
     tracks: TracksTuning = Field(default_factory=TracksTuning)
     """Points of its tracks."""
+    course: CourseTuning = Field(default_factory=CourseTuning)
+    """Which matches it explains."""
     trust: TrustTuning = Field(default_factory=TrustTuning)
     """Where the model is trusted."""
 

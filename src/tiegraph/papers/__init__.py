@@ -41,7 +41,6 @@ def colmap_alone(upright: bool = False) -> dict[str, dict[str, Any]]:
         "coarse": {"method": "off"},
         # Every listed pair is matched, and what COLMAP verifies is kept.
         "design": {"method": "all"},
-        "filter": {"method": "off"},
         # COLMAP's incremental mapper by images alone: "even when the relative positions of the cameras are unknown".
         "sparse": {"rig": "absent", "mapper": "incremental", "use_positions": False, "covariance_frames": 0},
         # Positions "were used to determine the scale": a similarity to the cameras, without lever arm or adjustment.

@@ -22,7 +22,7 @@ __all__ = ["MESH", "SHOTS", "STAGES", "table"]
 
 
 _ELSEWHERE = {
-    "preview": "features", "candidates": "network", "coarse": "network", "match": "features", "filter": "sparse",
+    "preview": "features", "candidates": "network", "coarse": "network", "match": "features",
     "refine": "masks", "cloud": "dense", "report": "evaluate",
 }  # fmt: skip
 
@@ -64,10 +64,9 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=3,
            changes=("database.db",), clear=lambda folder: _module("match").forget_matches(folder),
            scratch=("database.db.match",), tuned=("features",)),
-    _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=6, tuned=("scene",)),
-    _stage("sparse", ("preview", "coarse", "network", "match", "filter"), ("sparse",), version=36,
+    _stage("sparse", ("preview", "coarse", "network", "match"), ("sparse",), version=36,
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=28,
+    _stage("georef", ("network", "match", "sparse"), ("sparse/world", "world.json"), version=28,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
@@ -76,7 +75,7 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=5,
            scratch=("products/.tiles",), tuned=("evaluate",)),
-    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
+    _stage("evaluate", ("match", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=11, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
     _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=16, alone=True),
 )

@@ -186,8 +186,8 @@ CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
 
 def _survey(run: Run) -> Survey:
     ties = []
-    if run.path("filter.npz").exists():
-        pairs, names = pairs_of(run, "filter.npz").kept(), checked(run).names
+    if run.path("match.npz").exists():
+        pairs, names = pairs_of(run, "match.npz").kept(), checked(run).names
         ties = [(names[i], names[j], int(n)) for i, j, n in zip(pairs.i, pairs.j, pairs.inliers)]
     return Survey(
         scene=whole(run),

@@ -23,7 +23,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import read_pixels
-from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, Visibility
+from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.results import Cloud, DepthMap, load_depth
 from tiegraph.scene.scene import Scene
 
@@ -112,26 +112,19 @@ def pairs_of(run: Run, name: str) -> Pairs:
     return load_as(run.path(name), Pairs.from_npz)
 
 
-def refused_pairs(run: Run) -> tuple[tuple[int, int], ...]:
-    """Verified pairs (scene indices) that view-graph filtering refused."""
-    found = pairs_of(run, "filter.npz")
-    away = found.where(found.dropped == REASONS.index("repeat"))
-    return tuple(zip(away.i.tolist(), away.j.tolist()))
-
-
 def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
     """The preview matches of ``candidates``, or with those added by ``coarse``."""
     return load_as(run.path(stage, "matches.npz"), PreviewMatches.from_npz)
 
 
-def trusted_poses(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
-    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere, and ``reach`` (N, 2); or None."""
+def trusted_poses(folder: Path) -> np.ndarray | None:
+    """The coarse model where it is trusted: cam_from_world (N, 4, 4), NaN elsewhere; or None."""
     path = folder / "coarse" / "model.npz"
     if not path.exists():
         return None
     with reading(path):
         data = load_npz(path)
-        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan), data["reach"]
+        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
 
 
 def visibility_of(run: Run) -> Visibility | None:

@@ -12,7 +12,7 @@ from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
 from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, placement_error, refused_pairs, whole
+from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, placement_error, whole
 from tiegraph.pipeline.inputs import control_file, orientations, target_marks
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json
@@ -65,7 +65,6 @@ def georef(run: Run) -> Outcome:
         constant=held,
         tuning=tuning,
         database=run.path("database.db"),
-        refused=refused_pairs(run) if len(folders) > 1 else (),
     )
     found, missing = _georeferenced(run, request)
     main, notes = found.first, [*found.notes(), *said, *([] if tuning.placement.ties.trials else found.by_hand())]

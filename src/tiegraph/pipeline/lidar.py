@@ -44,7 +44,7 @@ TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)
 _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
     "Mask processing": ("masks", "refine"),
-    "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse", "georef"),
+    "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef"),
     "MVS": ("dense", "cloud"),
 }
 

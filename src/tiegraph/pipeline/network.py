@@ -84,8 +84,8 @@ def coarse(run: Run) -> Outcome:
     write_atomic(run.path("coarse", "scene.json"), found.scene.to_json())
     counts = {"previews": len(cache) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     if found.model is not None:
-        poses, reach = found.model.cam_from_world, found.model.reach()
-        save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
+        poses = found.model.cam_from_world
+        save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, trusted=found.trusted)
         save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
     return Outcome(counts, notes=found.notes)
@@ -116,9 +116,9 @@ def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache
         return Coarse(pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool))
 
     def explains(model: CoarseModel, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        course = tuning.coarse.course
         return explained(model, (i, j), cache.matches_of, lambda k: read_preview(run.folder, scene.names[k]).xy, course)
 
-    course = run.settings.tuning.scene.course
     search, mapper = Search(candidates, cache, settings, tuning.coarse, explains), _Mapper(run, scene)
     while (wanted := search.wanted()) is not None:
         search.take(wanted, mapper.mapped(wanted))

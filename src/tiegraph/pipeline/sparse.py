@@ -1,12 +1,8 @@
-"""Glue of filter and sparse: matched pairs that contradict the coarse model are refused, the others mapped."""
-
-from collections.abc import Callable, Sequence
-from typing import Any
+"""Glue of sparse: the verified pairs become models."""
 
 import numpy as np
 
 from tiegraph.errors import ReconstructionError
-from tiegraph.filter.filter import Prior, filter_pairs
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.features import dim_images, with_contrast
 from tiegraph.pipeline.files import (
@@ -14,7 +10,6 @@ from tiegraph.pipeline.files import (
     load_model,
     load_scene,
     pairs_of,
-    refused_pairs,
     save_npz,
     trusted_poses,
 )
@@ -28,24 +23,6 @@ from tiegraph.sfm.shape import SHAPE
 from tiegraph.sfm.start import check_start, start_told
 
 
-def filter(run: Run) -> Outcome:
-    """Pairs whose matches agree with the coarse model; the database of `match` stays unchanged."""
-    done = [0]
-
-    def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
-        run.reporter.total(done[0] + len(items), done[0])
-        done[0] += len(items)
-        return run.map(function, items, *args)
-
-    scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.filter
-    tunings = run.settings.tuning.filter, run.settings.tuning.scene.course
-    known = trusted_poses(run.folder)
-    prior = None if known is None else Prior(*known)
-    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tunings, run_map, prior)
-    save_npz(run.path("filter.npz"), **found.pairs.to_npz())
-    return Outcome(found.counts, notes=found.notes, tables=found.tables)
-
-
 def sparse(run: Run) -> Outcome:
     """The models, with the rig, by COLMAP's mappers."""
 
@@ -54,16 +31,14 @@ def sparse(run: Run) -> Outcome:
 
     scene, apart = checked(run), ()
     if run.settings.network.sections == "split":  # pairs between sections, which are mapped separately
-        pairs, of_image = pairs_of(run, "filter.npz"), scene.section[scene.frame]
+        pairs, of_image = pairs_of(run, "match.npz"), scene.section[scene.frame]
         across = of_image[pairs.i] != of_image[pairs.j]
         apart = tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
-    coarse = trusted_poses(run.folder)
     source = Source(
         run.path("database.db"),
         run.path("images"),
-        refused_pairs(run),
         apart=apart,
-        preview=None if coarse is None else coarse[0],
+        preview=trusted_poses(run.folder),
         run_map=run.map,
         on_progress=progress,
     )

@@ -112,7 +112,7 @@ class Viewed:
 
     def layers(self) -> dict[str, Any]:
         """All that the page lists, JSON-ready."""
-        pairs = pairs_of(self.run, "filter.npz")
+        pairs = pairs_of(self.run, "match.npz")
         index = {name: k for k, name in enumerate(self.images)}
         rows = {k: index[name] for k, name in enumerate(checked(self.run).names) if name in index}
         low, high = (self.box - self.middle).tolist()

@@ -22,8 +22,6 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.tuning import Tuning as FeaturesTuning
-from tiegraph.filter.settings import FilterSettings
-from tiegraph.filter.tuning import Tuning as FilterTuning
 from tiegraph.lidar.tuning import Tuning as LidarTuning
 from tiegraph.masks.settings import MasksSettings, RefineSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
@@ -68,7 +66,6 @@ class Tunings(Section):
     masks: MasksTuning = Field(default_factory=MasksTuning)
     network: NetworkTuning = Field(default_factory=NetworkTuning)
     design: DesignTuning = Field(default_factory=DesignTuning)
-    filter: FilterTuning = Field(default_factory=FilterTuning)
     sfm: SfmTuning = Field(default_factory=SfmTuning)
     dense: DenseTuning = Field(default_factory=DenseTuning)
     cloud: CloudTuning = Field(default_factory=CloudTuning)
@@ -96,7 +93,6 @@ class Settings(Section):
     design: DesignSettings = Field(default_factory=DesignSettings)
     features: FeaturesSettings = Field(default_factory=FeaturesSettings)
     match: MatchSettings = Field(default_factory=MatchSettings)
-    filter: FilterSettings = Field(default_factory=FilterSettings)
     sparse: SparseSettings = Field(default_factory=SparseSettings)
     georef: GeorefSettings = Field(default_factory=GeorefSettings)
     refine: RefineSettings = Field(default_factory=RefineSettings)

@@ -17,7 +17,7 @@ from tiegraph.report.network import funnel_rows, is_loss
 from tiegraph.report.runfolder import STAGES, RunFolder, read_run
 from tiegraph.report.summary import metric_values
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS
+from tiegraph.scene.pairs import REASON_LOOKS
 
 _SFM = ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef")
 _TIMES: dict[str, tuple[str, ...]] = {  # row -> its stages; names as in paper 000 table 1, 001 table 5
@@ -133,11 +133,11 @@ def _used(run: RunFolder) -> float:
 def _funnel(runs: Sequence[RunFolder]) -> dict[str, list[float]]:
     """The rows of the report's funnel; a filter that dropped nothing of a run has 0 there."""
     found = [{n: v for n, v, _ in funnel_rows(r.pairs, r.network)} if r.pairs is not None else {} for r in runs]
-    last = {f"dropped: {REASON_LOOKS[reason][0]}" for reason in AFTER_MATCHING}
-    losses = [name for name in dict.fromkeys(n for rows in found for n in rows) if is_loss(name)]
-    before, after = ([name for name in losses if (name in last) == wanted] for wanted in (False, True))
+    last = f"dropped: {REASON_LOOKS['match'][0]}"
+    losses = dict.fromkeys(n for rows in found for n in rows if is_loss(n) and n != last)
+    after = [last] if any(last in rows for rows in found) else []
     out = {}
-    for name in ("candidates", *before, "pairs to match", "matched at full resolution", *after, "verified"):
+    for name in ("candidates", *losses, "pairs to match", "matched at full resolution", *after, "verified"):
         nothing = 0.0 if is_loss(name) else np.nan
         values = [float(rows.get(name, nothing)) if rows else np.nan for rows in found]
         out[f"  {name}" if is_loss(name) else name.capitalize()] = values

@@ -13,7 +13,7 @@ from tiegraph.report import formatting
 from tiegraph.report.drawing import LIGHT, USED, bars, file_uri, histogram, matrix, png, rgb_of
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.texts import capital, said, t
-from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
 _MATCHES = ((1, "#c7e0ea"), (30, "#7fb8d0"), (100, "#2b7a9b"), (300, "#0a3d55"))  # verified matches from, colour
@@ -76,10 +76,10 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     rows = [("candidates", max(before, 0) + len(pairs), "#8b949e")]
     rows += [("dropped: in the network", before, "#c9ced6")] if before > 0 else []
     lost = {k: (f"dropped: {REASON_LOOKS[k][0]}", v, REASON_LOOKS[k][1]) for k, v in funnel.items() if k in REASONS}
-    rows += [row for reason, row in lost.items() if reason not in AFTER_MATCHING]
+    after = [lost.pop("match")] if "match" in lost else []
+    rows += lost.values()
     if not is_matched(pairs):
         return [*rows, ("pairs to match", funnel["used"], USED)]
-    after = [row for reason, row in lost.items() if reason in AFTER_MATCHING]
     rows.append(("matched at full resolution", funnel["used"] + sum(n for _, n, _ in after), USED))
     return [*rows, *after, ("verified", len(tied(pairs)), "#0b4f6c")]
 
@@ -120,10 +120,10 @@ def ties(pairs: Pairs, images: int) -> np.ndarray:
     return tied(pairs).degree(images)
 
 
-_NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
+_NETWORK_STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match")
 _TITLES = {
     "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
-    "match": "Matching", "filter": "View-graph filtering",
+    "match": "Matching",
 }  # fmt: skip
 # Pictures of the network folder in order of display; the first word found in the file's name decides.
 _CAPTIONS = {
@@ -144,7 +144,7 @@ _SOUND = "No weak links: no place depends on a single tie or frame."
 
 
 def network_part(run: RunFolder) -> dict[str, Any]:
-    """Pictures, funnel, tables and remarks of the stages from preview to view-graph filtering."""
+    """Pictures, funnel, tables and remarks of the stages from preview to matching."""
     out: dict[str, Any] = {"matrices": None, "funnel": None, "degrees": None, "table": None, "sound": None}
     pairs = run.pairs if run.pairs is not None else run.network
     if pairs is not None and run.scene is not None and len(pairs):

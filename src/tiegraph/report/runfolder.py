@@ -36,7 +36,7 @@ T = TypeVar("T")
 _POINTS = 200_000  # of a sparse model that are drawn
 
 STAGES = (
-    "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
+    "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "sparse",
     "georef", "refine", "dense", "cloud", "products", "evaluate", "report",
 )  # fmt: skip
 _ASKED = 60  # observations of an image
@@ -247,7 +247,7 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
         scene=scene,
         scanned=scanned or scene,
         network=_try(folder / "network.npz", read_pairs),
-        pairs=next(filter(None, (_try(folder / f"{n}.npz", read_pairs) for n in ("filter", "match", "pairs"))), None),
+        pairs=next(filter(None, (_try(folder / f"{n}.npz", read_pairs) for n in ("match", "pairs"))), None),
         world=world or None,
         metrics=_json(folder / "metrics.json") or None,
         model=None if scene is None else read_model(folder, scene, _registered_by(receipts)),

@@ -36,10 +36,8 @@ REASON_LOOKS = {
     "similar": ("base too short", "#9fd3c7"),  # paper 002
     "cut": ("cut by the design", "#8fb8de"),
     "match": ("not verified", "#c0392b"),  # matched at full resolution
-    "repeat": ("contradicts the coarse model", "#7b2d8b"),  # verified, but on repeated texture
 }
 REASONS = tuple(REASON_LOOKS)
-AFTER_MATCHING = ("match", "repeat")  # pairs dropped for these were matched at full resolution
 _LINES = 100_000  # of a CSV file, written together
 NUMBERS = ("score", "overlap", "baseline_m", "angle_deg", "h_over_b", "sigma_m")
 

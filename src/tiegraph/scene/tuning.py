@@ -38,23 +38,6 @@ class JoiningTuning(Section):
     """Least images of two models for a join, which must agree with it."""
 
 
-class CourseTuning(Section):
-    """Matches against a rough model (`course.py`)."""
-
-    steps: int = Field(24, gt=1)
-    """Distances between the nearest and the farthest at which a ray is followed."""
-    margin: float = Field(2.0, ge=1)
-    """Distances outside those of the image's model points by this factor are still possible."""
-    tolerance_deg: float = Field(1.0, gt=0)
-    """Largest deviation from the course: preview key points are good to 0.2 degrees, rotations of their model to 0.15
-    (canal)."""
-    min_share: float = Field(0.25, ge=0, le=1)
-    """Share of a pair's matches that must agree with the model. On canal (chosen there) it keeps 99.1 % of the pairs
-    most of whose matches are true and 4 of 217 of which hardly any is; on canal_demo 98.6 % and 0 of 4."""
-    any_distance: float = Field(10.0, ge=1)
-    """Times nearer than the nearest point of the model, and farther than the farthest: any distance."""
-
-
 class Tuning(Section):
     """Constants of the shared library that are the same for every user."""
 
@@ -64,5 +47,3 @@ class Tuning(Section):
     """Blocks of a survey."""
     joining: JoiningTuning = Field(default_factory=JoiningTuning)
     """Blocks joined again."""
-    course: CourseTuning = Field(default_factory=CourseTuning)
-    """Matches against a rough model."""

@@ -15,8 +15,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, observed_proxy
 from tiegraph.network.coarse.visible import Overlap, shared_surface, visible_points
-from tiegraph.network.tuning import CoarseTuning, TracksTuning
-from tiegraph.scene.course import off_course_deg
+from tiegraph.network.tuning import CoarseTuning, CourseTuning, TracksTuning
 from tiegraph.scene.pairs import PreviewMatches, Visibility
 from tiegraph.scene.rig import (
     Rig,
@@ -28,7 +27,6 @@ from tiegraph.scene.rig import (
     rig_from_dict,
     rig_to_dict,
 )
-from tiegraph.scene.tuning import CourseTuning
 
 
 @dataclass(frozen=True)
@@ -149,7 +147,11 @@ def explained(
     tuning: CourseTuning,
 ) -> np.ndarray:
     """(P,) bool: pairs of images i, j (P,), (P,) of which enough matches (K, 2) can be of points where the model has
-    its surface. ``features``: pixels (K, 2) of an image's preview."""
+    its surface. ``features``: pixels (K, 2) of an image's preview.
+
+    A wall that repeats along the path gives false matches with the right rotation and on the right epipolar lines, but
+    at impossible distances or behind a camera.
+    """
     out, rays, reach = np.zeros(len(pairs[0]), bool), dict[int, np.ndarray](), model.reach()
     known = np.isfinite(reach).all(axis=1)
     if not known.any():
@@ -160,9 +162,34 @@ def explained(
         rays[k] = rays_or_axis(model.cameras[k], features(k))
     for row, (i, j) in enumerate(zip(*(ends.tolist() for ends in pairs))):
         own, j_from_i = matches(i, j), model.cam_from_world[j] @ transforms.invert(model.cam_from_world[i])
-        off = off_course_deg(rays[i][own[:, 0]], rays[j][own[:, 1]], j_from_i, (reach[i], reach[j]), tuning)
+        off = _off_course_deg(rays[i][own[:, 0]], rays[j][own[:, 1]], j_from_i, (reach[i], reach[j]), tuning)
         out[row] = np.mean(off <= tuning.tolerance_deg) >= tuning.min_share
     return out
+
+
+def _off_course_deg(
+    a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: tuple[np.ndarray, np.ndarray], tuning: CourseTuning
+) -> np.ndarray:
+    """(M,) least angle in degrees between rays b (M, 3) and where the points on rays a (M, 3) would be seen at all
+    distances within reach of image a, or the same from b to a: the larger. ``reach``: nearest and farthest points (2,)
+    that a and that b see, to which a margin is added."""
+    there = _one_way_deg(a, b, b_from_a, reach[0], tuning)
+    return np.maximum(there, _one_way_deg(b, a, transforms.invert(b_from_a), reach[1], tuning))
+
+
+def _one_way_deg(
+    a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: np.ndarray, tuning: CourseTuning
+) -> np.ndarray:
+    near, far = reach[0] / tuning.margin, reach[1] * tuning.margin
+    distance = np.geomspace(near, far, tuning.steps)
+    course = distance[:, None, None] * (a @ b_from_a[:3, :3].T) + b_from_a[:3, 3]  # (steps, M, 3)
+    course /= np.maximum(np.linalg.norm(course, axis=2, keepdims=True), 1e-12)
+    along = np.diff(course, axis=0)
+    share = np.sum((b - course[:-1]) * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-18)
+    nearest = course[:-1] + np.clip(share, 0, 1)[..., None] * along
+    nearest /= np.linalg.norm(nearest, axis=2, keepdims=True)
+    cosine = np.max(np.sum(nearest * b, axis=2), axis=0)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:
@@ -239,7 +266,7 @@ def _better_camera(
     given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool, most_focal: float
 ) -> pycolmap.Camera | None:
     """The camera used from here on. A focal length of a data sheet or of EXIF is accurate to some per cent and does not
-    include principal point and distortion; at the side of an image that exceeds the degree that ``filter`` allows."""
+    include principal point and distortion; at the side of an image that is more than a degree."""
     if given is None or found is None:
         return given
     if not given.has_prior_focal_length:

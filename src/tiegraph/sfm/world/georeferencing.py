@@ -171,7 +171,6 @@ class GeorefRequest:
     constant: ConstantParameters
     tuning: Tuning
     database: Path
-    refused: tuple[tuple[int, int], ...] = ()  # pairs (scene indices) whose matches are not believed
 
 
 def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) -> OneWorld:
@@ -181,7 +180,7 @@ def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) ->
     models = [read_model(folder) for folder in request.folders]
     given, unfit = as_marked(models[0], scene, request.measurements, tuning.world)
     nothing = VerifiedMatches(np.zeros((0, 2), int), (), {})
-    verified = read_verified(request.database, scene, request.refused) if len(models) > 1 else nothing
+    verified = read_verified(request.database, scene) if len(models) > 1 else nothing
     made = one_world(
         models, scene, verified,
         similarity=lambda model, given: georeference(model, scene, settings, tuning.world, given),
