@@ -6,6 +6,8 @@ there is a GPU (``cuda``) the same steps run on it, with the same bits. OpenCV's
 matching variant) stands in where the native module was not built.
 """
 
+from __future__ import annotations
+
 import logging
 import threading
 from typing import TYPE_CHECKING, Any
@@ -128,7 +130,7 @@ class _Native:
     def __init__(self) -> None:
         self.halve, self.joint_greys = _sgm.halve, _sgm.joint_greys
 
-    def ranges(self, coarse: Array, width: int, height: int, rules: "_sgm.RangeRules") -> tuple[Array, Array]:
+    def ranges(self, coarse: Array, width: int, height: int, rules: _sgm.RangeRules) -> tuple[Array, Array]:
         first, blocks, _ = _sgm.ranges(coarse, width, height, rules)
         return first, blocks
 
@@ -214,7 +216,7 @@ def _halved(use: Array | None) -> Array | None:
     return even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]
 
 
-def _workspace() -> "_sgm.Workspace":
+def _workspace() -> _sgm.Workspace:
     """This thread's memory for cost volumes: fetching it anew for each pair would take a tenth of the time."""
     if not hasattr(_memory, "workspace"):
         _memory.workspace = _sgm.Workspace()
@@ -229,7 +231,7 @@ def _levels(disparities: int, tuning: TsgmTuning) -> int:
     return levels
 
 
-def _options(tuning: TsgmTuning, mode: int) -> "_sgm.Options":
+def _options(tuning: TsgmTuning, mode: int) -> _sgm.Options:
     options = _sgm.Options()
     options.radius_x, options.radius_y = tuning.radius_px
     options.small, options.large = tuning.small_jump, tuning.large_jump

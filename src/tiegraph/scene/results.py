@@ -114,11 +114,9 @@ class Model(pycolmap.Reconstruction):
     def _repr_html_(self) -> str:
         cameras = [image.projection_center() for image in self.images.values() if image.has_pose]
         points = list(self.points3D.values())
-        if not cameras and not points:
-            return repr(self)
-        colours = [*(p.color for p in points), *[(255, 0, 0)] * len(cameras)]
         xyz = np.array([*(p.xyz for p in points), *cameras])
-        return picture(repr(self), cloud_from_above(xyz, np.array(colours, np.uint8)))
+        colours = np.array([*(p.color for p in points), *[(255, 0, 0)] * len(cameras)], np.uint8)
+        return picture(repr(self), cloud_from_above(xyz, colours)) if len(xyz) else repr(self)
 
 
 @dataclass(frozen=True)
