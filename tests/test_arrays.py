@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -99,6 +102,12 @@ def test_a_model_of_arrays(survey: Survey) -> None:
     _, images = port(survey)
     model = arrays.reconstruct(images, pool="serial")
     assert model.num_reg_images() == 6 and sorted(i.name for i in model.images.values())[0] == "000000.png"
+    shown = model._repr_html_()
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(shown.split("base64,")[1].split('"')[0]), np.uint8), 1)
+    red, white = ((picture == colour).all(axis=2).sum() for colour in ((0, 0, 255), (255, 255, 255)))
+    drawn = picture.shape[0] * picture.shape[1] - white - red
+    assert 3 <= red <= 6 and 0.2 * model.num_points3D() < drawn <= model.num_points3D()
+    assert f"num_points3D={model.num_points3D()}" in shown and "<img" not in tiegraph.Model()._repr_html_()
 
 
 def measured(seed: int, times: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -162,4 +171,4 @@ def test_bad_arrays_are_named() -> None:
 def test_what_the_package_shows() -> None:
     assert set(dir(tiegraph)) == set(tiegraph.__all__) and "arrays" in dir(tiegraph)
     assert all(hasattr(tiegraph, name) for name in tiegraph.__all__)
-    assert set(dir(arrays)) >= set(arrays.__all__)
+    assert dir(arrays) == sorted(arrays.__all__) and all(hasattr(arrays, name) for name in arrays.__all__)

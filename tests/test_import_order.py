@@ -34,3 +34,12 @@ def test_a_child_starts_without_validators_that_it_does_not_need():
     code = "import tiegraph.project.settings as s; print(s.Settings.__pydantic_complete__, end=' '); s.Settings()"
     done = _run(f"{code}; print(s.Settings.__pydantic_complete__, s.SceneTuning.__pydantic_complete__)")
     assert done.stdout.split() == ["False", "True", "True"], done.stderr
+
+
+def test_all_engines_load_without_the_native_modules():
+    """As installed where there is no C++ compiler, and on Windows."""
+    hidden = "import sys; sys.modules.update({'tiegraph.dense._sgm': None, 'tiegraph.features._nearest': None})"
+    loaded = "import tiegraph.arrays, tiegraph.pipeline; tiegraph.pipeline.load(None)"
+    done = _run(f"{hidden}; {loaded}; from tiegraph.cli.doctor import findings; print(*findings(), sep='\\n')")
+    assert done.returncode == 0, done.stderr
+    assert "OpenCV's matcher" in done.stdout and "NumPy finds the nearest descriptors" in done.stdout

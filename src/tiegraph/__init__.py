@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from tiegraph.api import Project
     from tiegraph.api import open_project as open
     from tiegraph.scene.pairs import Pairs
-    from tiegraph.scene.results import Cloud
+    from tiegraph.scene.results import Cloud, Model
     from tiegraph.scene.scene import Scene
 
-__all__ = ["Cloud", "Pairs", "Project", "Scene", "__version__", "arrays", "open"]
+__all__ = ["Cloud", "Model", "Pairs", "Project", "Scene", "__version__", "arrays", "open"]
 
 _PLACES = {
     "arrays": ("tiegraph.arrays", ""),
@@ -34,6 +34,7 @@ _PLACES = {
     "Scene": ("tiegraph.scene.scene", "Scene"),
     "Pairs": ("tiegraph.scene.pairs", "Pairs"),
     "Cloud": ("tiegraph.scene.results", "Cloud"),
+    "Model": ("tiegraph.scene.results", "Model"),
 }
 
 

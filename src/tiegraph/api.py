@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from tiegraph.errors import InputError, ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import SHOTS, STAGES, foundrig, table
@@ -22,7 +25,7 @@ from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import read_model, registration
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.results import Cloud
+from tiegraph.scene.results import Cloud, Model
 from tiegraph.scene.scene import Scene
 
 if TYPE_CHECKING:  # the drawing of figures loads as slowly as all else together
@@ -33,24 +36,19 @@ _NAMED = ("rig", "camera")  # each a file, or words
 _PATHS = ("gnss", "trajectory", "start", "times")
 
 
+@dataclass(eq=False)
 class Project:
     """A survey and its run folder. Results are read from the folder; asking for one does not run anything."""
 
-    def __init__(
-        self,
-        folder: Path,
-        inputs: Inputs,
-        settings: Settings,
-        preset: str = "default",
-        pool: str = "local",
-        stores: Mapping[str, Path] | None = None,  # of the inputs: URLs and the places of their copies
-    ):
-        self.folder = folder
-        self._stores = dict(stores or {})
-        self.inputs = inputs
-        self.settings = settings
-        self.preset = preset
-        self.pool = pool
+    folder: Path
+    inputs: Inputs
+    settings: Settings
+    preset: str = "default"
+    pool: str = "local"
+    stores: dict[str, Path] = field(default_factory=dict)  # of the inputs: URLs and the places of their copies
+
+    def __repr__(self) -> str:
+        return f"Project({self.inputs.images} -> {self.folder})"
 
     def run(self, until: str | None = None, reporter: Reporter | None = None) -> Project:
         """Run what is out of date, up to and including a stage; returns itself.
@@ -64,9 +62,9 @@ class Project:
     def fetch(self, reporter: Reporter | None = None) -> None:
         """Copy inputs that were given as URLs, or what has changed of them, beside the run folder; ``run`` does it
         itself. Raises InputError and EngineMissing."""
-        for url in list(self._stores):
-            fetch(url, self._stores[url], reporter or Reporter("quiet"))
-            del self._stores[url]
+        for url in list(self.stores):
+            fetch(url, self.stores[url], reporter or Reporter("quiet"))
+            del self.stores[url]
 
     def doubtful(self, until: str | None = None) -> bool:
         """Whether anything contradicts anything, or nothing came of a stage, up to and including one."""
@@ -107,8 +105,8 @@ class Project:
         A file that somebody else wrote or edited stays, as ``tiegraph.before-<n>.toml``.
         """
         run: dict[str, Any] = {"images": str(self.inputs.images), "preset": self.preset}
-        run.update({n: getattr(self.inputs, n) for n in _NAMED})
-        run.update({n: None if getattr(self.inputs, n) is None else str(getattr(self.inputs, n)) for n in _PATHS})
+        given = {n: getattr(self.inputs, n) for n in (*_NAMED, *_PATHS)}
+        run.update({n: None if value is None else str(value) for n, value in given.items()})
         base = project_settings.merged(project_settings.preset(self.preset))
         own = project_settings.changed(self.settings)
         inherited = project_settings.changed(base)
@@ -229,7 +227,7 @@ class Project:
 
     def candidates(self) -> Pairs:
         """The pair table after `network`: every pair that was looked at, and why it was dropped."""
-        return _read_pairs(self._needed("network.npz", "network"))
+        return self._pairs("network.npz", "network")
 
     def coverage(self, chosen: bool = False) -> Coverage:
         """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?
@@ -248,11 +246,9 @@ class Project:
         return surface_of(self.as_run())
 
     def pairs(self) -> Pairs:
-        """The pair table of the last stage that made one: `match` (with inliers) or `design`."""
-        matched = self.folder / "match.npz"
-        return _read_pairs(matched if matched.exists() else self._needed("pairs.npz", "design"))
+        return self._pairs("match.npz" if (self.folder / "match.npz").exists() else "pairs.npz", "design")
 
-    def model(self) -> Any:
+    def model(self) -> Model:
         """The georeferenced model, a ``pycolmap.Reconstruction``."""
         return read_model(self._needed("sparse/world", "georef"))
 
@@ -290,6 +286,10 @@ class Project:
     def receipt(self, stage: str) -> dict:
         """What a stage says of itself: counts, dropped items with reasons, notes, times, settings, versions."""
         return self.as_run().receipts.read(stage)
+
+    def _pairs(self, name: str, stage: str) -> Pairs:
+        with np.load(self._needed(name, stage)) as data:
+            return Pairs.from_npz(dict(data))
 
     def _needed(self, name: str, stage: str) -> Path:
         path = self.folder / name
@@ -353,19 +353,12 @@ def open_project(
         paths["trajectory"] = FOLLOW
     _check_texts({"images": found, **paths})
     given = Inputs(found, run.get("rig"), camera=run.get("camera"), **paths)
-    return Project(folder, given, complete, name, pool, stores)
+    return Project(folder, given, complete, preset=name, pool=pool, stores=stores)
 
 
 def _check_texts(given: dict[str, Any]) -> None:
     for name, value in given.items():
         check_text("" if value is None else value, name)
-
-
-def _read_pairs(path: Path) -> Pairs:
-    import numpy as np
-
-    with np.load(path) as data:
-        return Pairs.from_npz(dict(data))
 
 
 def _folder(images: str | Path | None, out: str | Path | None) -> Path:
@@ -388,9 +381,7 @@ def _differing(values: dict, mine: dict, theirs: dict) -> dict[str, Any]:
     """The values of what stands otherwise in two tables: what a project says beyond its preset. A value set back to the
     default against the preset is said too."""
     out: dict[str, Any] = {}
-    for name in sorted({*mine, *theirs}):
-        if mine.get(name, ...) == theirs.get(name, ...):
-            continue
+    for name in sorted(n for n in {*mine, *theirs} if mine.get(n, ...) != theirs.get(n, ...)):
         value = values[name]
         if isinstance(value, dict):
             value = _differing(value, mine.get(name, {}), theirs.get(name, {})) or None

@@ -76,6 +76,11 @@ __all__ = [
 ]
 
 
+def __dir__() -> list[str]:
+    """What there is, without what it is made of."""
+    return __all__
+
+
 @dataclass(frozen=True, eq=False)
 class Matches:
     """What two images share: ``tentative`` (M, 2) u4 rows of the features of a and b that match, and

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import socket
+import ssl
 import subprocess
 import sys
 import threading
@@ -213,16 +214,27 @@ class Listed(SimpleHTTPRequestHandler):
         pass
 
 
+@contextmanager
+def web_server(folder: Path, certificate: Path | None = None) -> Iterator[str]:
+    """The address of a server of a folder with images and positions; with a certificate and its key it speaks TLS."""
+    (folder / "survey" / "cam 0").mkdir(parents=True)
+    (folder / "survey" / "cam 0" / "1.jpg").write_bytes(b"one")
+    (folder / "survey" / "gnss.csv").write_bytes(b"two")
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Listed, directory=folder))
+    if certificate is not None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(certificate)
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http{'s' if certificate else ''}://127.0.0.1:{server.server_address[1]}/survey"
+    server.shutdown()
+    server.server_close()
+
+
 @pytest.mark.slow
 def test_folders_of_a_web_server(tmp_path: Path) -> None:
     there = tmp_path / "there" / "survey"
-    (there / "cam 0").mkdir(parents=True)
-    (there / "cam 0" / "1.jpg").write_bytes(b"one")
-    (there / "gnss.csv").write_bytes(b"two")
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Listed, directory=tmp_path / "there"))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        url = f"http://127.0.0.1:{server.server_address[1]}/survey"
+    with web_server(there.parent) as url:
         target = place_of(url, tmp_path)
         fetch(url, target, QUIET)
         assert files(target) == {"cam 0/1.jpg": b"one", "gnss.csv": b"two"}
@@ -234,9 +246,32 @@ def test_folders_of_a_web_server(tmp_path: Path) -> None:
         single = place_of(f"{url}/gnss.csv", tmp_path)
         fetch(f"{url}/gnss.csv", single, QUIET)
         assert single.read_bytes() == b"two"
-    finally:
-        server.shutdown()
-        server.server_close()
+
+
+@pytest.mark.slow
+def test_a_web_server_with_a_certificate_of_its_own_must_be_trusted(tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp")
+    if (openssl := shutil.which("openssl")) is None:
+        pytest.skip("needs openssl, which makes the certificate")
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    made = "req -x509 -nodes -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -days 2 -subj /CN=survey"
+    made += f" -addext subjectAltName=IP:127.0.0.1 -keyout {key} -out {certificate}"
+    subprocess.run([openssl, *made.split()], check=True, capture_output=True)
+    both = tmp_path / "both.pem"
+    both.write_text(certificate.read_text() + key.read_text())
+    code = "import sys; from pathlib import Path; from tiegraph.project import progress, stores; "
+    code += "stores.fetch(sys.argv[1], Path(sys.argv[2]), progress.Reporter('quiet'))"
+    own = {name: value for name, value in os.environ.items() if name != "SSL_CERT_FILE"}
+    with web_server(tmp_path / "there", both) as url:
+        target = place_of(url, tmp_path)
+        command = [sys.executable, "-c", code, url, str(target)]
+        doubted = subprocess.run(command, env=own, capture_output=True, text=True, timeout=120)
+        assert doubted.returncode == 1 and not target.exists()
+        assert "InputError" in doubted.stderr and "certificate verify failed" in doubted.stderr.splitlines()[-1]
+        trusted = {**own, "SSL_CERT_FILE": str(certificate)}
+        taken = subprocess.run(command, env=trusted, capture_output=True, text=True, timeout=120)
+        assert taken.returncode == 0, taken.stderr
+    assert files(target) == {"cam 0/1.jpg": b"one", "gnss.csv": b"two"}
 
 
 def free_port() -> int:

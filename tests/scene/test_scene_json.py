@@ -45,6 +45,13 @@ def test_json_round_trip():
     assert two.rigs[0].sensors[0].camera.params.tolist() == one.rigs[0].sensors[0].camera.params.tolist()
 
 
+def test_a_scene_says_what_it_has():
+    one = scene().with_(sequence=np.array([0, -1]), world_from_rig=np.stack([np.eye(4), np.full((4, 4), np.nan)]))
+    assert repr(one) == "Scene(3 images in 2 frames, 1 passes, 1 rigs of 3 cameras)"
+    row = "<tr><td>{}</td><td>1</td><td>{}</td><td>{}</td></tr>"
+    assert row.format("up", 2, 1) + row.format("loose photographs", 1, 0) in one._repr_html_()
+
+
 def test_exposure_is_there_where_it_is_known():
     one = scene().with_(exposure=np.array([0.25, np.nan, 2.0]))
     assert scene().exposure is None and Scene.from_json(scene().to_json()).exposure is None

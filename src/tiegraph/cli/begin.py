@@ -96,14 +96,9 @@ class Demo(Common):
 
     def run(self) -> int:
         survey = example()
-        truth = survey / "truth"
-        evaluate = {
-            "reference": truth / "colmap",
-            "reference_cloud": truth / "reference.laz",
-            "reference_masks": truth / "masks",
-            "mask_labels": (4,),
-            "reference_origin": _ORIGIN,
-        }
+        truth = {"reference": "colmap", "reference_cloud": "reference.laz", "reference_masks": "masks"}
+        evaluate = {name: survey / "truth" / file for name, file in truth.items()}
+        evaluate |= {"mask_labels": (4,), "reference_origin": _ORIGIN}
         given = {"rig": survey / "rig.toml", "gnss": survey / "gnss.csv", "times": survey / "times.csv"}
         how = {"preset": self.preset, "pool": self.pool, "unset": self.unset, "settings": {"evaluate": evaluate}}
         return finish(open_project(survey / "images", self.out, **how, **given), self.until, self)

@@ -4,6 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -12,7 +13,6 @@ import pycolmap
 import pyproj
 import pyproj.network
 
-from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.dense import cuda
 from tiegraph.dense.tsgm import kernels
@@ -22,16 +22,14 @@ from tiegraph.project.stages import software
 _GRIDS = ("*.tif", "*.gtx", "*.gsb")  # GeoTIFF, and the older formats of vertical and horizontal grids
 
 
-def main(arguments: list[str]) -> int:
-    """Print versions, cores, memory and disk, and whether optional parts are there."""
+@dataclass(frozen=True)
+class Doctor:
+    """Versions, cores, memory, disk, and what is missing."""
 
-    def doctor() -> None:
-        """Versions, cores, memory, disk, and what is missing."""
-
-    options_of(doctor, "tiegraph doctor", arguments)
-    for name, text in findings():
-        say(f"{name:<24} {text}")
-    return 0
+    def run(self) -> int:
+        for name, text in findings():
+            say(f"{name:<24} {text}")
+        return 0
 
 
 def findings() -> Iterator[tuple[str, str]]:

@@ -257,13 +257,10 @@ class _Baseline:
 
 def compare(arguments: Sequence[str]) -> int:
     """`tiegraph compare`: runs side by side; what has changed between two surveys; another method on a block."""
-    for flag, form in (("--epochs", _Epochs), ("--passes", _Passes)):
-        if flag in arguments:
-            rest = [a for a in arguments if a != flag]
-            return options_of(form, f"tiegraph compare {flag}", rest).run()  # type: ignore[no-any-return]
-    if any(a.partition("=")[0] == "--baseline" for a in arguments):
-        return options_of(_Baseline, "tiegraph compare --baseline", [*arguments]).run()  # type: ignore[no-any-return]
-    return options_of(_Compare, "tiegraph compare", [*arguments]).run()  # type: ignore[no-any-return]
+    forms = {"--epochs": _Epochs, "--passes": _Passes, "--baseline": _Baseline}
+    flag = next((f for f in forms if f in {a.partition("=")[0] for a in arguments}), "")
+    rest = [a for a in arguments if a != flag or flag == "--baseline"]  # which has a value
+    return options_of(forms.get(flag, _Compare), f"tiegraph compare {flag}".strip(), rest).run()  # type: ignore[no-any-return]
 
 
 def _say_changes(result: dict[str, Any], out: Path) -> int:

@@ -158,26 +158,22 @@ class Plan:
         output = self.request.output
         if output.compare is not None:
             table = compare(output.compare, output.planned)
-            if self.json:
-                row = {"columns": table.columns, "rows": table.rows, "sentence": table.sentence}
-                say(json_text.dumps(row, indent=1))
-            else:
-                show_table(table.columns, table.rows, table.title)
-                say(table.sentence)
-            return 0
-        made = plan(self.request, read_tunings(self.tuning))
+            tables, texts = [table], [table.sentence]
+            data = {"columns": table.columns, "rows": table.rows, "sentence": table.sentence}
+        else:
+            made = plan(self.request, read_tunings(self.tuning))
+            tables, data = [station_table(made.stations)], made.to_dict()
+            if made.path is not None and made.effort is not None:
+                tables += path_tables(made.path, made.effort)
+            written = [] if output.out is None else [f"written: {output.out}"]
+            texts = [*(made.path.worst if made.path else ()), *made.advice, *written]
         if self.json:
-            say(json_text.dumps(made.to_dict(), indent=1))
+            say(json_text.dumps(data, indent=1))
             return 0
-        tables = [station_table(made.stations)]
-        if made.path is not None and made.effort is not None:
-            tables += path_tables(made.path, made.effort)
         for table in tables:
             show_table(table.columns, table.rows, table.title)
-        for text in (*(made.path.worst if made.path else ()), *made.advice):
+        for text in texts:
             say(text)
-        if output.out is not None:
-            say(f"written: {output.out}")
         return 0
 
 

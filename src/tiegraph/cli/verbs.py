@@ -75,42 +75,30 @@ VERBS: dict[str, Verb] = {
     "demo": Verb("the example survey, from images to the report", "begin.Demo"),
     "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "begin.Init"),
     "status": Verb("which stages of a run folder are up to date, and why not", "results.Status"),
-    "compare": Verb(
-        "two or more run folders side by side; --epochs: what has changed between two surveys", "results.compare"
-    ),
+    "compare": Verb("run folders side by side; --epochs: what has changed between two surveys", "results.compare"),
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "surveys.Shots"),
-    "stations": Verb(
-        "clouds of single shots without poses put into one frame and merged to one cloud", "surveys.Stations"
-    ),
+    "stations": Verb("clouds of single shots, without poses, joined to one cloud", "surveys.Stations"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "surveys.Calibrate"),
     "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "surveys.Plan"),
-    "serve": Verb(
-        "a page in the browser to hand images over, start and follow a run, and read its report", "pages.Serve"
-    ),
+    "serve": Verb("a page in the browser to hand images over, start and follow a run", "pages.Serve"),
     "mark": Verb("a page in the browser to mark control points in the images", "pages.Mark"),
-    "view": Verb(
-        "a finished run in the browser: cloud, cameras, tie graph, maps, coordinates with sigma", "pages.View"
-    ),
+    "view": Verb("a finished run in the browser: cloud, cameras, tie graph, maps", "pages.View"),
     "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "surveys.Lidar"),
     "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "pages.Watch"),
     "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "surveys.Odometry"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "results.Rig"),
-    "export": Verb(
-        "a folder for the next tool: nerfstudio, COLMAP, gsplat, OpenMVS, OpenSfM, TUM, GIS", "results.Export"
-    ),
+    "export": Verb("a folder for another program: nerfstudio, COLMAP, gsplat, OpenMVS, GIS", "results.Export"),
     "mesh": Verb("a textured mesh of a finished run, as GLB, OBJ and PLY"),
     "profile": Verb("heights of a map along a line, with sigmas: a table and a chart", "results.profile"),
     "volume": Verb("cut and fill inside polygons on a map, from a plane, a height or another survey", "results.Volume"),
-    "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor.main"),
+    "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor.Doctor"),
     # The stages, as in pipeline.STAGES (tests/cli/test_cli_verbs.py holds them together).
     "scan": Verb("stage: makes scene.json, whole.json, images, odometry"),
     "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "forms.masks"),
     "preview": Verb("stage: makes preview"),
     "candidates": Verb("stage: makes candidates.npz, candidates"),
     "coarse": Verb("stage: makes coarse.npz, coarse"),
-    "network": Verb(
-        "stage: makes network.npz, network.csv, network; --coverage: is anything missing, on site", "forms.network"
-    ),
+    "network": Verb("stage: makes network.npz, network.csv, network; --coverage: what is missing", "forms.network"),
     "design": Verb("stage: makes pairs.npz, pairs.txt, pairs, design"),
     "features": Verb("stage: makes database.db"),
     "match": Verb("stage: makes match.npz"),
@@ -120,9 +108,6 @@ VERBS: dict[str, Verb] = {
     "dense": Verb("stage: makes depth"),
     "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply, passes"),
     "products": Verb("stage: makes products; surface models and true orthophotos of ground or walls"),
-    "evaluate": Verb(
-        "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud",
-        "forms.evaluate",
-    ),
+    "evaluate": Verb("stage: makes metrics.json, accuracy.csv, evaluate; or compares two clouds", "forms.evaluate"),
     "report": Verb("stage: makes report.html, report.json; --pdf, --language ja", "forms.report"),
 }

@@ -6,6 +6,8 @@ there is a GPU (``cuda``) the same steps run on it, with the same bits. OpenCV's
 matching variant) stands in where the native module was not built.
 """
 
+from __future__ import annotations
+
 import logging
 import threading
 from typing import TYPE_CHECKING, Any

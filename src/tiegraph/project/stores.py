@@ -62,7 +62,8 @@ def fetch(url: str, target: Path, reporter: Reporter) -> None:
     store, root = _opened(url)
     with _worded(url, f"; the copy of an earlier run is in {target}" if target.exists() else ""):
         store.invalidate_cache()
-        listed = store.find(root, detail=True)
+        if not (listed := store.find(root, detail=True)) and url.startswith("http"):
+            store.ls(root)  # says what was wrong, which the walk passes over
     named = {_name(path, root): (path, info) for path, info in listed.items() if _is_file(path, info)}
     if not named:
         raise InputError(f"{url}: nothing lies there, or nothing that may be listed: is it written correctly?")

@@ -23,6 +23,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.atomic import regular, scratch_folder
 from tiegraph.scene.names import check_text
+from tiegraph.scene.results import Model
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
@@ -40,15 +41,15 @@ def is_model(folder: Path) -> bool:
     return any((folder / f"images.{kind}").exists() for kind in ("bin", "txt"))
 
 
-def read_model(folder: Path | str) -> Any:
-    """The ``pycolmap.Reconstruction`` of a model folder. Raises InputError naming the damaged part."""
+def read_model(folder: Path | str) -> Model:
+    """The model of a folder. Raises InputError naming the damaged part."""
     folder = Path(folder)
     for name, end_of in _RECORDS.items():
         _check(folder / f"{name}.bin", end_of)
         _check(folder / f"{name}.txt", None)
     text = (folder / "images.txt").exists() and not (folder / "images.bin").exists()
     try:
-        model = _read_text(folder) if text else pycolmap.Reconstruction(str(folder))
+        model = _read_text(folder) if text else Model(str(folder))
         for image in model.images.values():
             check_text(image.name, "image")  # read here: one that is not UTF-8 is an error of its own
     except InputError:

@@ -24,6 +24,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -105,6 +106,17 @@ class Cloud(Columns):
             views=np.zeros(0, np.uint8),
             origin=origin,
         )
+
+
+class Model(pycolmap.Reconstruction):
+    """COLMAP's model; a notebook shows its points from above, and the cameras in red."""
+
+    def _repr_html_(self) -> str:
+        cameras = [image.projection_center() for image in self.images.values() if image.has_pose]
+        points = list(self.points3D.values())
+        xyz = np.array([*(p.xyz for p in points), *cameras])
+        colours = np.array([*(p.color for p in points), *[(255, 0, 0)] * len(cameras)], np.uint8)
+        return picture(repr(self), cloud_from_above(xyz, colours)) if len(xyz) else repr(self)
 
 
 @dataclass(frozen=True)

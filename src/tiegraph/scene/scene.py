@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.names import check_name
+from tiegraph.scene.results import table
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
 from tiegraph.scene.sorting import freeze
 
@@ -54,6 +55,17 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __repr__(self) -> str:
+        numbers = f"{len(self)} images in {self.frames} frames, {len(self.sequences)} passes"
+        return f"Scene({numbers}, {len(self.rigs)} rigs of {len(self.all_sensors)} cameras)"
+
+    def _repr_html_(self) -> str:
+        placed = np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1)
+        passes = [*enumerate(self.sequences), (-1, "loose photographs")]
+        frames = [(name, own) for k, name in passes if (own := self.sequence == k).any()]
+        rows = [(name, own.sum(), own[self.frame].sum(), (own & placed).sum()) for name, own in frames]
+        return table(repr(self), [("pass", "frames", "images", "frames with a position"), *rows])
 
     @property
     def frames(self) -> int:
