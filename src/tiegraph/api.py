@@ -246,6 +246,7 @@ class Project:
         return surface_of(self.as_run())
 
     def pairs(self) -> Pairs:
+        """The pair table of the last stage that made one: `match` (with inliers) or `design`."""
         return self._pairs("match.npz" if (self.folder / "match.npz").exists() else "pairs.npz", "design")
 
     def model(self) -> Model:
