@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +26,7 @@ from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import read_model, registration
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.results import Cloud, Model
+from tiegraph.scene.results import Accuracy, Cloud, DepthMap, Metric, Model, load_depth
 from tiegraph.scene.scene import Scene
 
 if TYPE_CHECKING:  # the drawing of figures loads as slowly as all else together
@@ -266,6 +267,21 @@ class Project:
 
         return read_cloud(self._needed("cloud.laz", "cloud"))
 
+    def depth(self, image: str) -> DepthMap:
+        """The depth map of an image, by the name of its file below the images: in the world's unit, NaN where
+        there is none."""
+        return load_depth(self._needed(f"depth/{image}.npz", "dense"))
+
+    def accuracy(self) -> Accuracy:
+        """What is predicted and measured of the world, of the model's shape and of a point of the cloud."""
+        return Accuracy.from_dict(self._said()["accuracy"])
+
+    def metrics(self) -> dict[str, Metric]:
+        """All figures of merit by name; their values are NaN where nothing was measured."""
+        unknown = {"value": float("nan"), "target": float("nan")}
+        rows = (unknown | {k: v for k, v in row.items() if v is not None} for row in self._said()["metrics"])
+        return {row["name"]: Metric(**row) for row in rows}
+
     def products(self) -> dict[str, dict[str, Path]]:
         """The files of each surface, by the names of the surface (map, elevation1, ...) and of the file without its
         ending (dsm, sigma, ortho, dtm, contours, ...); pictures, which have the names of rasters, are left out."""
@@ -287,6 +303,9 @@ class Project:
     def receipt(self, stage: str) -> dict:
         """What a stage says of itself: counts, dropped items with reasons, notes, times, settings, versions."""
         return self.as_run().receipts.read(stage)
+
+    def _said(self) -> dict[str, Any]:
+        return dict(json.loads(self._needed("metrics.json", "evaluate").read_text(encoding="utf-8")))
 
     def _pairs(self, name: str, stage: str) -> Pairs:
         with np.load(self._needed(name, stage)) as data:

@@ -18,7 +18,7 @@ import worlds
 from accuracy_marks import check, unmarked
 from said import refused
 from tiegraph.cli.main import main
-from tiegraph.errors import ReconstructionError, SettingsError
+from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
@@ -88,6 +88,16 @@ def test_cloud_lies_on_the_walls_and_in_the_crs(project, survey):
         assert las.header.parse_crs().to_epsg() == 32654
         assert {"sigma_m", "views"} <= set(las.header.point_format.extra_dimension_names)
         assert abs(las.header.mins[0] - project.scene().origin.shift_m[0]) < 500
+
+
+def test_depth_maps_and_figures_are_objects(project):
+    name = project.scene().names[5]
+    depth, metrics, accuracy = project.depth(name), project.metrics(), project.accuracy()
+    assert depth.image == name and np.isfinite(depth.depth_m).mean() > 0.3
+    assert metrics["registered_images"].value == 100 and metrics["registered_images"].unit == "%"
+    assert accuracy.unit == "m" and 0.1 < accuracy.head("world").predicted < 5  # metres, GNSS of a short drive
+    with pytest.raises(InputError, match=r"depth/nothing.png.npz"):
+        project.depth("nothing.png")
 
 
 def outside(points, box):
