@@ -268,8 +268,7 @@ class Project:
         return read_cloud(self._needed("cloud.laz", "cloud"))
 
     def depth(self, image: str) -> DepthMap:
-        """The depth map of an image, by the name of its file below the images: in the world's unit, NaN where
-        there is none."""
+        """The depth map of an image, by the name of its file below the images."""
         return load_depth(self._needed(f"depth/{image}.npz", "dense"))
 
     def accuracy(self) -> Accuracy:
@@ -278,8 +277,8 @@ class Project:
 
     def metrics(self) -> dict[str, Metric]:
         """All figures of merit by name; their values are NaN where nothing was measured."""
-        unknown = {"value": float("nan"), "target": float("nan")}
-        rows = (unknown | {k: v for k, v in row.items() if v is not None} for row in self._said()["metrics"])
+        unknown: dict[str, Any] = {"value": float("nan"), "target": float("nan")}
+        rows = [unknown | {k: v for k, v in row.items() if v is not None} for row in self._said()["metrics"]]
         return {row["name"]: Metric(**row) for row in rows}
 
     def products(self) -> dict[str, dict[str, Path]]:
@@ -304,8 +303,8 @@ class Project:
         """What a stage says of itself: counts, dropped items with reasons, notes, times, settings, versions."""
         return self.as_run().receipts.read(stage)
 
-    def _said(self) -> dict[str, Any]:
-        return dict(json.loads(self._needed("metrics.json", "evaluate").read_text(encoding="utf-8")))
+    def _said(self) -> Any:
+        return json.loads(self._needed("metrics.json", "evaluate").read_text(encoding="utf-8"))
 
     def _pairs(self, name: str, stage: str) -> Pairs:
         with np.load(self._needed(name, stage)) as data:
