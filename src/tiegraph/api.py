@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,12 +20,13 @@ from tiegraph.project.run import Run, check_run, let_go, run_stages, status, wit
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage, needed
 from tiegraph.project.stores import fetch, place_of, url_of
+from tiegraph.scene import results
 from tiegraph.scene.atomic import names_file, real_path
 from tiegraph.scene.bags import source_of
 from tiegraph.scene.colmapmodel import read_model, registration
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.results import Accuracy, Cloud, DepthMap, Metric, Model, load_depth
+from tiegraph.scene.results import Accuracy, Cloud, DepthMap, Metric, Model
 from tiegraph.scene.scene import Scene
 
 if TYPE_CHECKING:  # the drawing of figures loads as slowly as all else together
@@ -269,17 +269,11 @@ class Project:
 
     def depth(self, image: str) -> DepthMap:
         """The depth map of an image, by the name of its file below the images."""
-        return load_depth(self._needed(f"depth/{image}.npz", "dense"))
+        return results.load_depth(self._needed(f"depth/{image}.npz", "dense"))
 
-    def accuracy(self) -> Accuracy:
-        """What is predicted and measured of the world, of the model's shape and of a point of the cloud."""
-        return Accuracy.from_dict(self._said()["accuracy"])
-
-    def metrics(self) -> dict[str, Metric]:
-        """All figures of merit by name; their values are NaN where nothing was measured."""
-        unknown: dict[str, Any] = {"value": float("nan"), "target": float("nan")}
-        rows = [unknown | {k: v for k, v in row.items() if v is not None} for row in self._said()["metrics"]]
-        return {row["name"]: Metric(**row) for row in rows}
+    def accuracy(self) -> tuple[Accuracy, dict[str, Metric]]:
+        """What is predicted and measured of the world, the shape and the cloud, and all figures of merit by name."""
+        return results.read_metrics(self._needed("metrics.json", "evaluate"))
 
     def products(self) -> dict[str, dict[str, Path]]:
         """The files of each surface, by the names of the surface (map, elevation1, ...) and of the file without its
@@ -302,9 +296,6 @@ class Project:
     def receipt(self, stage: str) -> dict:
         """What a stage says of itself: counts, dropped items with reasons, notes, times, settings, versions."""
         return self.as_run().receipts.read(stage)
-
-    def _said(self) -> Any:
-        return json.loads(self._needed("metrics.json", "evaluate").read_text(encoding="utf-8"))
 
     def _pairs(self, name: str, stage: str) -> Pairs:
         with np.load(self._needed(name, stage)) as data:

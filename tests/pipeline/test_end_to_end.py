@@ -92,7 +92,7 @@ def test_cloud_lies_on_the_walls_and_in_the_crs(project, survey):
 
 def test_depth_maps_and_figures_are_objects(project):
     name = project.scene().names[5]
-    depth, metrics, accuracy = project.depth(name), project.metrics(), project.accuracy()
+    depth, (accuracy, metrics) = project.depth(name), project.accuracy()
     assert depth.image == name and np.isfinite(depth.depth_m).mean() > 0.3
     assert metrics["registered_images"].value == 100 and metrics["registered_images"].unit == "%"
     assert accuracy.unit == "m" and 0.1 < accuracy.head("world").predicted < 5  # metres, GNSS of a short drive

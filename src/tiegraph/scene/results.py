@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import math
 import warnings
 import zipfile
@@ -160,6 +161,13 @@ def metrics_to_dict(
     clean = {n: {**t, "rows": finite(t["rows"])} for n, t in (tables or {}).items()}
     said = {} if accuracy is None else {"accuracy": accuracy.to_dict()}
     return {**said, "metrics": rows, "tables": clean, "notes": list(notes), "contradictions": list(contradictions)}
+
+
+def read_metrics(path: Path) -> tuple[Accuracy, dict[str, Metric]]:
+    """``metrics.json``: the layers, and the metrics by name, NaN where it has null."""
+    data, unknown = json.loads(path.read_text(encoding="utf-8")), {"value": NAN, "target": NAN}
+    rows: list[dict[str, Any]] = [unknown | {k: v for k, v in m.items() if v is not None} for m in data["metrics"]]
+    return Accuracy.from_dict(data["accuracy"]), {row["name"]: Metric(**row) for row in rows}
 
 
 def save_depth(depth: DepthMap, path: Path) -> None:
