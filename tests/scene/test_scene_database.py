@@ -9,6 +9,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,19 @@ def test_ids_names_frames_and_rig_are_those_of_the_scene(path):
     sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 2)
     assert row.rig_id == 1 and row.ref_sensor_id.id == 1
     np.testing.assert_allclose(row.sensor_from_rig(sensor).matrix(), rig().sensors[1].sensor_from_rig[:3], atol=1e-12)
+
+
+def test_the_guess_of_a_fisheye_lens_counts_as_known(path):
+    """COLMAP verifies no pair of a fisheye lens without a prior: 360 cameras had no model at all."""
+    world = scene()
+    one = world.rigs[0]
+    bent = pycolmap.Camera.create_from_model_name(0, "OPENCV_FISHEYE", 200.0, 640, 480)
+    plain = pycolmap.Camera.create_from_model_name(0, "RADIAL", 200.0, 640, 480)
+    sensors = tuple(replace(s, camera=c) for s, c in zip(one.sensors, (bent, plain), strict=True))
+    create_database(path, world.with_(rigs=(replace(one, sensors=sensors),)))
+    assert not bent.has_prior_focal_length and not plain.has_prior_focal_length
+    with opened(path) as database:
+        assert [c.has_prior_focal_length for c in database.read_all_cameras()] == [True, False]
 
 
 def test_sensors_without_extrinsics_stand_alone(path):

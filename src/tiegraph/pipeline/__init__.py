@@ -60,7 +60,7 @@ STAGES = (
            uses=("candidates",), tuned=("scene",)),
     _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=11,
            uses=("features",), tuned=("features", "sfm")),
-    _stage("features", ("scan", "masks"), ("database.db",), "image", version=4, scratch=_BESIDE_DATABASE),
+    _stage("features", ("scan", "masks"), ("database.db",), "image", version=5, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=3,
            changes=("database.db",), clear=lambda folder: _module("match").forget_matches(folder),
            scratch=("database.db.match",), tuned=("features",)),

@@ -27,6 +27,7 @@ from tiegraph.scene.colmapmodel import rigid3d, sensor_id
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.wideviews import is_fisheye
 
 DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and of its log, an upper bound
 _IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, an upper bound
@@ -64,8 +65,11 @@ def create_database(path: Path, scene: Scene) -> None:
 
 
 def _camera(given: pycolmap.Camera, camera_id: int) -> pycolmap.Camera:
+    """A camera under COLMAP's id. The guessed focal length of a fisheye lens counts as known: COLMAP verifies no pair
+    of images without one, because a fundamental matrix says nothing of such a lens."""
     camera = copy(given)
     camera.camera_id = camera_id
+    camera.has_prior_focal_length |= is_fisheye(camera)
     return camera
 
 

@@ -27,6 +27,7 @@ from tiegraph.sfm.mapping import (
     Source,
     believed_cameras,
     map_images,
+    share_of_matches,
 )
 from tiegraph.sfm.model import Findings, registration_tables
 from tiegraph.sfm.registrationreport import (
@@ -132,9 +133,6 @@ def reconstruct(
     try:
         job = _without_unsupported(job)
         job, outcome = _with_unknown_rigs(job, [k for k, mode in modes.items() if mode == "derived"])
-        if outcome is None:
-            job = start_from_sections(job)
-            outcome = map_images(job)
         return _account(job, outcome, _finish(job, outcome))
     finally:
         shutil.rmtree(out / SCRATCH, ignore_errors=True)
@@ -165,11 +163,13 @@ def _without_unsupported(job: Job) -> Job:
     return replace(job, source=replace(source, refused=without, unsupported=alone), graph=graph)
 
 
-def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome | None]:
-    """The job with the extrinsics of unknown rigs, derived from models made without these rigs. Where none could be
-    derived, also these models (else None), because nothing needs to be mapped again."""
+def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome]:
+    """The job with the extrinsics of unknown rigs, derived from models made without these rigs, and its models. Where
+    none could be derived, or the models made with them explain clearly fewer matches, the job as it was and the models
+    without."""
     if not unknown:
-        return job, None
+        job = start_from_sections(job)
+        return job, map_images(job)
     outcome = map_images(job, "without the unknown rig")
     models, rigs = [read_model(folder) for folder in outcome.folders], list(job.scene.rigs)
     for index in unknown:
@@ -179,7 +179,17 @@ def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome | Non
     derived = {k: "derived" for k in unknown if rigs[k] is not job.scene.rigs[k]}
     if not derived:
         return job, outcome
-    return replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **derived}), None
+    known = replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **derived})
+    known = start_from_sections(known)
+    made = map_images(known)
+    share = [share_of_matches(one, found) for one, found in ((known, made), (job, outcome))]
+    if share[0] >= job.tuning.mapping.clearly_fewer * share[1]:
+        return known, made
+    job.account.notes.append(
+        f"with the rig that was found the model explains {100 * share[0]:.0f} % of the matches, without it "
+        f"{100 * share[1]:.0f} %: the rig is not used"
+    )
+    return job, outcome
 
 
 def _finish(job: Job, outcome: Outcome) -> FinishResult:

@@ -260,7 +260,7 @@ def _mapped(job: Job, label: str) -> Outcome:
 
 def _clearer(job: Job, first: Outcome, second: Outcome, label: str = "") -> Outcome:
     """Of two outcomes the one whose first model explains more matches, the first of equals, with a remark."""
-    share = [_explained(job, one) for one in (first, second)]
+    share = [share_of_matches(job, one) for one in (first, second)]
     kept = second if share[1] > share[0] else first
     job.account.notes.append(
         f"{' '.join([first.mapper, 'mapping', *label.split()])} placed {first.registered} of "
@@ -271,7 +271,7 @@ def _clearer(job: Job, first: Outcome, second: Outcome, label: str = "") -> Outc
     return kept
 
 
-def _explained(job: Job, outcome: Outcome) -> float:
+def share_of_matches(job: Job, outcome: Outcome) -> float:
     """Share of all verified matches that the first model of an outcome explains."""
     if not outcome.folders:
         return 0.0
