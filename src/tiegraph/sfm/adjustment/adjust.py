@@ -108,14 +108,13 @@ def without_outliers(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> No
     manager = pycolmap.ObservationManager(model)
     manager.filter_observations_with_negative_depth()
     manager.filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
-    nearest: dict[int, float] = {}
+    ids = np.array(sorted(model.point3D_ids()), int)
+    xyz = np.array([model.point3D(k).xyz for k in ids.tolist()]).reshape(-1, 3)
+    nearest = np.full(len(ids), np.inf)
     for image in (model.image(i) for i in model.reg_image_ids()):
-        centre = image.projection_center()
-        for key in {p.point3D_id for p in image.get_observation_points2D()}:
-            away = float(np.linalg.norm(model.point3D(key).xyz - centre))
-            nearest[key] = min(away, nearest.get(key, np.inf))
-    least = _AT_LENS * float(np.median(list(nearest.values()))) if nearest else 0.0
-    for key in [k for k, away in nearest.items() if away < least]:
+        at = np.searchsorted(ids, np.array([p.point3D_id for p in image.get_observation_points2D()], int))
+        np.minimum.at(nearest, at, np.linalg.norm(xyz[at] - image.projection_center(), axis=1))
+    for key in ids[nearest < _AT_LENS * np.median(nearest)].tolist() if len(ids) else ():
         model.delete_point3D(key)
     model.update_point_3d_errors()
 
