@@ -28,6 +28,7 @@ from tiegraph.sfm.mapping import (
     believed_cameras,
     map_images,
     share_of_matches,
+    with_others,
 )
 from tiegraph.sfm.model import Findings, registration_tables
 from tiegraph.sfm.registrationreport import (
@@ -178,10 +179,16 @@ def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome]:
         rigs[index] = rig or rigs[index]
     derived = {k: "derived" for k in unknown if rigs[k] is not job.scene.rigs[k]}
     if not derived:
-        return job, outcome
+        return job, with_others(job, outcome)
     known = replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **derived})
     known = start_from_sections(known)
-    made = map_images(known)
+    try:
+        made = map_images(known)
+    except (ReconstructionError, ChildDied) as error:
+        job.account.notes.append(
+            f"there is no model with the rig that was found, it is not used: {str(error).splitlines()[0]}"
+        )
+        return job, with_others(job, outcome)
     share = [share_of_matches(one, found) for one, found in ((known, made), (job, outcome))]
     if share[0] >= job.tuning.mapping.clearly_fewer * share[1]:
         return known, made
@@ -189,7 +196,7 @@ def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome]:
         f"with the rig that was found the model explains {100 * share[0]:.0f} % of the matches, without it "
         f"{100 * share[1]:.0f} %: the rig is not used"
     )
-    return job, outcome
+    return job, with_others(job, outcome)
 
 
 def _finish(job: Job, outcome: Outcome) -> FinishResult:

@@ -145,7 +145,7 @@ def map_images(job: Job, label: str = "") -> Outcome:
     if asked and job.source.preview is not None:
         outcome = doubted = _run(job, "preview", label)
         if not outcome.refused and outcome.folders:
-            return _with_others(job, outcome)
+            return with_others(job, outcome)
         notes.append(
             f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
             "initial poses"
@@ -156,16 +156,14 @@ def map_images(job: Job, label: str = "") -> Outcome:
         notes.append(said)
         outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
         if not outcome.refused and outcome.folders:
-            return _with_others(job, outcome)
+            return with_others(job, outcome)
         notes.append(
             f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
         )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
     if doubted is not None and doubted.folders:
         outcome = _clearer(job, outcome, doubted)
-    # A rough model and one without the rig are intermediate steps; the images they leave out are dealt with in the
-    # end.
-    return outcome if label or job.source.rough else _with_others(job, outcome)
+    return outcome if label else with_others(job, outcome)  # a step of several: its caller looks at the rest
 
 
 def _starting_at(job: Job, poses: np.ndarray) -> Job:
@@ -200,7 +198,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     return again
 
 
-def _with_others(job: Job, outcome: Outcome) -> Outcome:
+def with_others(job: Job, outcome: Outcome) -> Outcome:
     """Report images that nothing ties to the first model, such as a second survey in the folder.
 
     A start from poses makes one model only, so the remaining images are mapped now; a mapper has made its other
