@@ -513,6 +513,30 @@ def test_names_alone_do_for_micasense_but_not_for_rows_and_columns(tmp_path: Pat
     assert len(_rig(scan(tmp_path / "wall")).sensors) == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "folders", "said"),
+    [
+        ("shot{s}/image_camera{c:02d}.jpg", ["*_camera01", "*_camera02", "*_camera03"], "ends"),
+        ("{s:04d}_cam{c}.jpg", ["*_cam1", "*_cam2", "*_cam3"], "ends"),
+        ("run/cam{c}_{s:04d}.jpg", ["cam1_*", "cam2_*", "cam3_*"], "beginnings"),
+        ("camera{c}-{s:04d}.jpg", ["camera1-*", "camera2-*", "camera3-*"], "beginnings"),
+    ],
+)
+def test_cameras_that_mark_their_files_are_a_rig(name: str, folders: list[str], said: str, tmp_path: Path) -> None:
+    for shot in range(4):
+        for camera in (1, 2, 3):
+            (tmp_path / name.format(s=shot, c=camera)).parent.mkdir(exist_ok=True)
+            picture(tmp_path / name.format(s=shot, c=camera))
+    scene = scan(tmp_path)
+    rig = _rig(scene)
+    assert [s.folder for s in rig.sensors] == folders and [s.name for s in rig.sensors] == [
+        f.strip("*_-") for f in folders
+    ]
+    assert scene.frames == 4 and len(scene) == 12 and not scene.dropped
+    assert not rig.nominal, "cameras, unlike bands, look anywhere"
+    assert says(scene.notes, f"3 cameras that share folders, by the {said} of the file names")
+
+
 def test_a_written_rig_of_bands_is_read_back(tmp_path: Path) -> None:
     for shot in range(3):
         for band in ("GRE", "RED"):

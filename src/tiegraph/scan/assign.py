@@ -15,9 +15,9 @@ from tiegraph.scan.folders import (
     Layout,
     Order,
     Place,
-    band_layout,
     guess_layout,
     is_pattern,
+    layout_by_marks,
     natural,
     order_of,
     place_by_folders,
@@ -83,7 +83,7 @@ def assign(
         )
     exif, sizes = usable.facts()
     kind = usable.layout(settings)
-    layout = band_layout(usable.names, exif, kind) or guess_layout(
+    layout = layout_by_marks(usable.names, exif, kind) or guess_layout(
         usable.names, exif, sizes, kind, tuning.folders, cameras
     )
     # Several lenses or focal lengths are several cameras, also in one body.
@@ -127,7 +127,7 @@ def _guessed_rig(layout: Layout) -> RigSpec:
     if layout.folders == ("",):
         return RigSpec("camera", (SensorSpec("camera", "", body_from_sensor=np.eye(4)),), body_is_reference=True)
     roles = ["up" if words(f) & UP_WORDS else "side" for f in layout.folders]
-    sensors = [SensorSpec(name=f, folder=f, role=role) for f, role in zip(layout.folders, roles)]
+    sensors = [SensorSpec(name=f.strip("*_-"), folder=f, role=role) for f, role in zip(layout.folders, roles)]
     first = replace(sensors[0], body_from_sensor=np.eye(4))
     return RigSpec("rig", (first, *sensors[1:]), body_is_reference=True)
 

@@ -2,7 +2,8 @@
 
 Cameras that write into one folder, such as the bands of a multispectral rig, mark their files by name:
 IMG_180822_133949_0205_GRE.TIF, ..._NIR.TIF (Parrot Sequoia), IMG_0001_1.tif ... _5.tif (MicaSense), ..._MS_RE.TIF
-(DJI). The part before the last mark is the shot, the mark is the camera; its folder is then written "*_GRE".
+(DJI); 0001_left.png, image_camera07.jpg, cam1_0001.jpg. The mark is the camera, the rest the shot; the folder of the
+camera is then written "*_GRE" or "cam1_*".
 """
 
 import os
@@ -315,40 +316,49 @@ def _regular_numbers(names: Sequence[str]) -> bool:
 _BANDS = frozenset(
     "gre red reg nir rgb green blue blu rededge lwir thermal tir pan panchro ms_g ms_r ms_re ms_nir".split()
 )
-_MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
+_CAMERA = r"left|right|front|rear|back|(?:cam|camera)_?\d+"
+_END = re.compile(rf"(?i)^(?P<shot>.+)_(?P<mark>{'|'.join(_BANDS)}|{_CAMERA}|\d{{1,2}})$")
+_BEGIN = re.compile(rf"(?i)^(?P<mark>(?:{_CAMERA})[_-]?)(?P<shot>\d.*)$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 
 
-def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout | None:
-    """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
+def layout_by_marks(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout | None:
+    """The layout of images whose names end in marks of bands or cameras, or begin with those of cameras; None if they
+    do not. ``kind`` is ScanSettings.layout.
 
-    Marks are names of bands; or numbers, if the files or MicaSense's naming show that these are
-    cameras: photographs numbered in rows and columns look alike.
+    Marks are names of bands, sides and numbered cameras; or mere numbers, if the files or MicaSense's naming show that
+    these are cameras: photographs numbered in rows and columns look alike.
     """
     if kind != "auto":
         return None
-    stems = [PurePosixPath(n).stem for n in names]
-    found = [_MARK.match(s) for s in stems]
-    marks = [m[2].lower() if m else "" for m in found]
 
-    def numbered(k: int) -> bool:
-        tiff = PurePosixPath(names[k]).suffix.lower() in (".tif", ".tiff")
-        return marks[k].isdigit() and (exif[k].rig.index >= 0 or bool(tiff and _MICASENSE.match(stems[k])))
+    def end_of(k: int) -> re.Match[str] | None:
+        path = PurePosixPath(names[k])
+        found = _END.match(path.stem)
+        tiff = path.suffix.lower() in (".tif", ".tiff")
+        number = found is not None and found["mark"].isdigit()
+        return found if not number or exif[k].rig.index >= 0 or (tiff and _MICASENSE.match(path.stem)) else None
 
-    cameras = {m for k, m in enumerate(marks) if m in _BANDS or numbered(k)}
+    ends = _marked(names, [end_of(k) for k in range(len(names))], "*_{}")
+    return ends or _marked(names, [_BEGIN.match(PurePosixPath(n).stem) for n in names], "{}*")
+
+
+def _marked(names: Sequence[str], found: Sequence[re.Match[str] | None], pattern: str) -> Layout | None:
+    marks = [m["mark"].lower() if m else "" for m in found]
+    spelt = {mark: pattern.format(m["mark"]) for m, mark in zip(found, marks) if m}
     shots: dict[tuple[str, str], set[str]] = defaultdict(set)
-    for k, match in enumerate(found):
-        if match and marks[k] in cameras:
-            shots[str(PurePosixPath(names[k]).parent), match[1]].add(marks[k])
+    for name, match, mark in zip(names, found, marks):
+        if match:
+            shots[str(PurePosixPath(name).parent), match["shot"]].add(mark)
     held = sum(len(s) for s in shots.values())
-    possible = max(len(names), len(shots) * len(cameras))
-    if len(cameras) < 2 or len(shots) < 2 or held < 0.75 * possible:  # with less it is chance
+    possible = max(len(names), len(shots) * len(spelt))
+    if len(spelt) < 2 or len(shots) < 2 or held < 0.75 * possible:  # with less it is chance
         return None
-    spelt = {m: next(f[2] for f, mark in zip(found, marks) if f and mark == m) for m in cameras}
     passes = _pass_names([PurePosixPath(n).parts[:-1] for n in names])
-    places = tuple(Place(f"*_{spelt[m]}", p) if m in cameras else None for m, p in zip(marks, passes))
-    folders = tuple(f"*_{spelt[m]}" for m in sorted(cameras, key=natural))
-    note = f"{len(folders)} cameras that share folders, by the ends of the file names: {', '.join(folders)}"
+    places = tuple(Place(spelt[m], p) if m else None for m, p in zip(marks, passes))
+    folders = tuple(spelt[m] for m in sorted(spelt, key=natural))
+    side = "ends" if pattern.startswith("*") else "beginnings"
+    note = f"{len(folders)} cameras that share folders, by the {side} of the file names: {_some(folders)}"
     return Layout(places, folders, Order(False, note))
 
 
@@ -361,7 +371,8 @@ def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: li
     tags = [[e.rig for e, p in zip(exif, layout.places) if p and p.folder == s.folder] for s in spec.sensors]
     angles = [Counter(t.relatives_deg for t in found if t.relatives_deg) for found in tags]
     told = sum(map(bool, angles))
-    if len(tags) < 2 or not (told == len(tags) or all(map(is_pattern, layout.folders))):
+    one_head = all(f.startswith("*_") and not is_camera(f) for f in layout.folders)  # bands
+    if len(tags) < 2 or not (told == len(tags) or one_head):
         return spec
     reference = next((t.reference for found in tags for t in found if t.reference >= 0), -1)
     order = sorted(range(len(tags)), key=lambda k: not any(t.index == reference >= 0 for t in tags[k]))
