@@ -1,7 +1,8 @@
 """Where it is dark, flat or uneven: ``python -m benchmarks.conditions --sets canal_demo --work DIR -o FILE``.
 
 Each survey with truth is made worse image by image, at three severities a condition, and run by tiegraph and by COLMAP
-(every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md. ``--ablation``
+(every pair, its defaults). ``--write`` puts the table of FILE between its markers in docs/benchmarks.md and draws
+docs/pictures/conditions.png. ``--ablation``
 prints what the constants of the equalisation do (runs of ``--methods "limit 2" ...``). ``--contrast FOLDER ...`` prints
 how much contrast the images below a folder show: the least, a tenth of them, the median, the most.
 
@@ -29,6 +30,7 @@ from zlib import crc32
 
 import cv2
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks import datasets, variants
 from benchmarks.papers.measure import COLMAP, one_run
@@ -171,6 +173,7 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.write(ablation(kept) + "\n")
     if args.write:
         put(_DOCUMENT, BEGIN, END, table(kept))
+        curves(kept).savefig(_DOCUMENT.parent / "pictures" / "conditions.png", dpi=90)
     return 0
 
 
@@ -214,6 +217,42 @@ def table(rows: list[dict]) -> str:
         cells = [_cell(ours), "-" if ratio is None else f"{ratio:.2g}", _cell(of.get("not evened", {}))]
         out.append(line([f"`{case[0]}`", case[1], f"{case[2]:g}", *cells, _cell(of.get("COLMAP", {}))]))
     return "\n".join(out)
+
+
+def curves(rows: list[dict]) -> Figure:
+    """A column a condition; images in the largest model, ATE, and predicted over actual error over the severity."""
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    axes = figure.subplots(3, len(CONDITIONS), sharey="row")
+    sets = list(dict.fromkeys(r["set"] for r in rows))
+    for column, (name, (_, severities)) in enumerate(CONDITIONS.items()):
+        for survey, colour in zip(sets, ("#1b6ca8", "#c0392b", "#2e8b57", "#8e5ea2")):
+            for method, style in (("tiegraph", "o-"), ("COLMAP", "x--")):
+                found = {r["severity"]: r for r in rows
+                         if (r["set"], r["condition"], r["method"]) == (survey, name, method)}  # fmt: skip
+                at = [k for k, severity in enumerate(severities) if severity in found]
+                values = np.array([_curve(found[severities[k]]) for k in at]).reshape(-1, 3)
+                for panel, drawn in zip(axes[:, column], values.T):
+                    panel.plot(at, drawn, style, color=colour, label=f"{survey}, {method}", ms=5)
+        axes[0, column].set_title(name, loc="left", fontsize=11)
+        for panel in axes[:, column]:
+            panel.set_xticks(range(len(severities)), [f"{v:g}" for v in severities])
+            panel.set_xlim(-0.3, len(severities) - 0.7)
+            panel.grid(alpha=0.3)
+    for panel, label in zip(axes[:, 0], ("images in the largest model, %", "ATE, mm", "predicted over actual")):
+        panel.set_ylabel(label)
+    axes[0, 0].set_ylim(-4, 104)
+    for panel in axes[1:].ravel():
+        panel.set_yscale("log")
+    for panel in axes[2]:
+        panel.axhspan(0.5, 2, color="#dddddd", lw=0, zorder=0)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9)
+    return figure
+
+
+def _curve(row: dict) -> tuple[float, float, float]:
+    share = 100 * (row.get("largest", row.get("registered")) or 0) / row["images"]
+    ate_mm = 1000 * (row.get("ate_m") or np.nan) if share else np.nan
+    return share, ate_mm, row.get("predicted_over_actual") or np.nan
 
 
 def _cell(row: dict) -> str:

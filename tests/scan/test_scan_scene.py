@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -359,6 +360,21 @@ def test_real_folders(folder: tuple[str, ...], rigs: int, sensors: int, frames: 
     assert (len(scene.rigs), len(scene.all_sensors), scene.frames, scene.dropped) == (rigs, sensors, frames, ())
     assert bool((scene.sequence == -1).all()) == loose
     assert len(find_images(data(*folder))) == len(scene)
+
+
+@pytest.mark.parametrize(("colour", "depth"), [("{0}.color.jpg", "{0}.depth.png"), ("rgb/{0}.jpg", "depth/9{0}.png")])
+def test_depth_maps_are_no_photographs(tmp_path: Path, colour: str, depth: str) -> None:
+    photographs(tmp_path, *(colour.format(k) for k in range(3)))
+    for k in range(3):
+        (tmp_path / depth.format(k)).parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / depth.format(k)), np.arange(64 * 48, dtype=np.uint16).reshape(48, 64) * 9 + k)
+    scene = scan(tmp_path)
+    assert scene.names == tuple(colour.format(k) for k in range(3)) and len(scene.all_sensors) == 1
+    assert len(scene.dropped) == 3 and all("a depth map by its name" in d.reason for d in scene.dropped)
+    assert says(scene.notes, "3 files are depth maps by their names")
+    for k in range(3):  # alone they are the survey
+        (tmp_path / colour.format(k)).unlink()
+    assert len(scan(tmp_path)) == 3
 
 
 @pytest.mark.parametrize(

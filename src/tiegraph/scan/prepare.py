@@ -20,7 +20,7 @@ from PIL import Image
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import cached_by_file, real_path, regular, replacing
-from tiegraph.scene.decoding import Levels, Opened, eight_bit, opened, turned
+from tiegraph.scene.decoding import EIGHT_BIT, Levels, Opened, eight_bit, opened, turned
 from tiegraph.scene.exif import Exif, Taken, exif_of, orientation_in
 from tiegraph.scene.images import OF_CAMERAS, SUFFIXES, Probe
 from tiegraph.scene.rig import Sensor, Source
@@ -79,16 +79,20 @@ def zoomed(probes: Sequence[Probe]) -> Sequence[Probe]:
 def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
     """The images that can be read, each photograph once; the report gets the others. InputError with fewer than two."""
     first: dict[str, str] = {}
-    usable, repeated, masks = [], [], masks_among(names)
+    usable, repeated, masks, depths = [], [], masks_among(names), depths_among(names, probes)
     if masks:
         report.notes.append(
             f"{len(masks)} files are masks of other images by their names, such as {min(masks)}: not used as images "
             "(--masks.folder with this folder uses them)"
         )
+    if depths:
+        report.notes.append(f"{len(depths)} files are depth maps by their names, such as {min(depths)}: not used")
     twins = _twins(names, probes)
     for k, (name, probe) in enumerate(zip(names, probes)):
         if name in masks:
             report.drop([name], f"a mask of {masks[name]} by its name")
+        elif name in depths:
+            report.drop([name], "a depth map by its name, and deeper than 8 bits")
         elif k in twins:
             report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
         elif probe.reason:
@@ -121,6 +125,13 @@ def masks_among(names: Sequence[str]) -> dict[str, str]:
         if image not in ("", str(path)):
             found[str(path)] = image
     return found
+
+
+def depths_among(names: Sequence[str], probes: Sequence[Probe]) -> set[str]:
+    """Files of an RGB-D camera that are depth maps: deeper than 8 bits and named so (depth/1.png, 1.depth.png)."""
+    word = re.compile(r"(?:^|[/._-])(?:depth|depth_?maps?|disp|disparity)[/._-]", re.IGNORECASE)
+    found = {n for n, p in zip(names, probes) if p.levels != EIGHT_BIT and word.search(n)}
+    return found if len(found) < len(names) else set()
 
 
 def _twins(names: Sequence[str], probes: Sequence[Probe]) -> dict[int, int]:
