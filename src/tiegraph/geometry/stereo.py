@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.geometry.transforms import centre
+from tiegraph.geometry.transforms import centre, transformed
 
 # A ray further than this from the rectified axis is not used: a plane would stretch it more than 1/cos(65)^2 = 5.6
 # times. Rays within 25 degrees of the baseline (the surroundings of an epipole inside the image) fall away with it.
@@ -37,15 +37,17 @@ class Pinhole:
 
     def project(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixel coordinates (..., 2) of world points (..., 3), and their depths (...); NaN behind the camera."""
-        seen = xyz @ self.cam_from_world[:3, :3].T + self.cam_from_world[:3, 3]
+        seen = transformed(self.K @ self.cam_from_world[:3], xyz)
         z = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        x = self.K[0, 0] * seen[..., 0] / z + self.K[0, 2]
-        y = self.K[1, 1] * seen[..., 1] / z + self.K[1, 2]
-        return np.stack([x, y], axis=-1), z
+        xy = np.empty((*z.shape, 2))
+        for k in (0, 1):
+            np.divide(seen[..., k], z, out=xy[..., k])
+        return xy, z
 
     def inside(self, xy: np.ndarray) -> np.ndarray:
         """Whether pixel coordinates (..., 2) lie in the image, NaN never: (...) bool."""
-        return np.all((xy >= 0) & (xy <= self.size), axis=-1)
+        x, y = np.moveaxis(xy, -1, 0)
+        return (x >= 0) & (y >= 0) & (x <= self.size[0]) & (y <= self.size[1])
 
 
 @dataclass(frozen=True, eq=False)

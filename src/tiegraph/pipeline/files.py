@@ -1,7 +1,6 @@
 """Reading and writing the artefacts that several stages share."""
 
 import errno
-import io
 import json
 import zipfile
 import zlib
@@ -24,7 +23,7 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
-from tiegraph.scene.results import Cloud, DepthMap, load_depth
+from tiegraph.scene.results import Cloud, DepthMap, load_depth, save_columns
 from tiegraph.scene.scene import Scene
 
 T = TypeVar("T")
@@ -135,9 +134,7 @@ def visibility_of(run: Run) -> Visibility | None:
 
 def save_npz(path: Path, **arrays: Any) -> None:
     """Write a compressed NPZ atomically."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomic(path, buffer.getvalue())
+    save_columns(path, arrays)
 
 
 def save_png(path: Path, image: np.ndarray) -> None:

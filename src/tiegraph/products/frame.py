@@ -90,7 +90,8 @@ class Frame:
 
     def in_world(self, u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
         """World points (..., 3) at u, v and w of one shape (...): the inverse of ``uvw``."""
-        xyz = transforms.apply(transforms.invert(self.surface_from_world), np.stack([u, v, w], axis=-1))
+        world_from_surface = transforms.invert(self.surface_from_world)
+        xyz = transforms.transformed(world_from_surface[:3], np.stack([u, v, w], axis=-1))
         if self.nodes is None:
             return xyz
         c, axes, _ = self.axis(xyz[..., 0])

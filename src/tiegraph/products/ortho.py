@@ -4,7 +4,7 @@ The view of a surface in an image: a buffer of depths, and a score for every pix
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,7 +22,8 @@ _SMOOTH_PX = 5  # raster pixels over which the slope of the surface is taken
 _COVER = 2.0  # raster pixels in one of the buffer, more than the square root of 2: none is left empty
 _AGREE_PX = 15  # raster pixels for the share of those whose depth the image confirms
 _LOOK = 16  # raster pixels between those that give the distance of the surface
-_TILE = 1024  # raster pixels along the edge of what is drawn at once
+_TILE = 1024  # raster pixels along the edge of what is drawn at once, ...
+_PIECE = 128  # ... and of the pieces of it that an image may see
 
 Heights = Callable[[Window, int], np.ndarray]
 """w (rows, columns) of a window, or of its blocks of so many pixels; NaN = not known."""
@@ -51,19 +52,62 @@ class Buffer:
 
 
 def meets(camera: Pinhole, surface: Surface, window: Window) -> bool:
-    """Whether a camera may see something of the box of a window: it lies not outside one side of its field of view."""
+    """Whether a camera may see something of the box of a window."""
     low, high = surface.box(window)
-    corners = np.array(np.meshgrid(*np.stack([low, high], 1))).reshape(3, 8).T
-    seen = transforms.apply(camera.cam_from_world, corners)
-    x, y, z = (seen @ camera.K.T).T
+    return bool(_meets(camera, low[None], high[None])[0])
+
+
+def _meets(camera: Pinhole, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(M,) bool: whether a camera may see something of boxes with these corners (M, 3) in the world: it lies not
+    outside one side of the field of view."""
+    sides = np.stack([low, high])
+    at = np.array(list(np.ndindex(2, 2, 2)))
+    corners = np.stack([sides[at[:, k], :, k] for k in range(3)], axis=-1)  # (8, M, 3)
+    x, y, z = np.moveaxis(transforms.transformed(camera.K @ camera.cam_from_world[:3], corners), -1, 0)
     width, height = camera.size
     outside = [z <= 0, x < 0, y < 0, x > width * z, y > height * z]
-    return not any(side.all() for side in outside)
+    return ~np.any([side.all(axis=0) for side in outside], axis=0)
 
 
 def windows_met(camera: Pinhole, surface: Surface) -> list[Window]:
     """The tiles of a surface of which a camera may see something."""
     return [t for t in surface.windows(_TILE) if meets(camera, surface, t)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """The pieces of a window in which heights are known: rows and columns (M,) of their first pixels in it, and the
+    corners (M, 3) of their boxes in the world."""
+
+    row: np.ndarray
+    column: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @staticmethod
+    def of(surface: Surface, window: Window, w: np.ndarray) -> "_Pieces":
+        """Of heights w (rows, columns) of a window."""
+        found = []
+        for row, column in np.ndindex(*(-(-s // _PIECE) for s in w.shape)):
+            top, left = row * _PIECE, column * _PIECE
+            piece = w[max(top - 1, 0) : top + _PIECE + 1, max(left - 1, 0) : left + _PIECE + 1]
+            if np.isfinite(piece).any():
+                ends = np.nanmin(piece), np.nanmax(piece)
+                low, high = (np.r_[edge[:2], end] for edge, end in zip((surface.low, surface.high), ends))
+                place = Window(window.row + top, window.column + left, rows=_PIECE, columns=_PIECE)
+                found.append((top, left, *replace(surface, low=low, high=high).box(place)))
+        top, left, low, high = (np.array(values) for values in zip(*found)) if found else np.zeros((4, 0, 3))
+        return _Pieces(top, left, low=low, high=high)
+
+    def seen_by(self, view: Pinhole) -> tuple[slice, slice]:
+        """Rows and columns that surround the pieces of which an image may see something, with a margin; none if there
+        is none."""
+        met = _meets(view, self.low, self.high)
+        if not met.any():
+            return slice(0, 0), slice(0, 0)
+        ends = ((at[met].min() - _AGREE_PX, at[met].max() + _PIECE + _AGREE_PX) for at in (self.row, self.column))
+        rows, columns = (slice(max(int(first), 0), int(last)) for first, last in ends)
+        return rows, columns
 
 
 def draw(
@@ -81,9 +125,12 @@ def draw(
     size = (wide, high)
     scale = np.array(view.size) / size
     depth = np.full(size[::-1], _NOTHING)
-    for tile in tiles:
-        around = Window(tile.row, tile.column, rows=tile.rows + 1, columns=tile.columns + 1)
-        for points in _drawn(surface, around, heights(around, 1)):
+    for around in (tile.grown(1) for tile in tiles):
+        w = heights(around, 1)
+        rows, columns = _Pieces.of(surface, around, w).seen_by(view)
+        w = w[rows, columns]
+        part = Window(around.row + rows.start, around.column + columns.start, rows=w.shape[0], columns=w.shape[1])
+        for points in _drawn(surface, part, w):
             x, y, z = project(view, points)
             there = np.isfinite(z)
             column = np.minimum((x[there] / scale[0]).astype(int), size[0] - 1)
@@ -116,8 +163,9 @@ def _drawn(surface: Surface, window: Window, w: np.ndarray) -> list[np.ndarray]:
         rise = np.abs(b[..., 2] - a[..., 2]) / surface.pixel_m
         steps = np.where(rise > 1, np.ceil(np.nan_to_num(rise)), 0).astype(int)
         at = np.nonzero(steps)
-        many = steps[at]
-        share = (np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)) / np.repeat(many, many)
+        many = steps[at] - 1  # between a and b, which are pixels themselves
+        place = 1 + np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
+        share = place / np.repeat(many + 1, many)
         low, high = np.repeat(a[at], many, axis=0), np.repeat(b[at], many, axis=0)
         out.append(surface.frame.in_world(*(low + share[:, None] * (high - low)).T))
     return out
@@ -132,6 +180,10 @@ class Ground:
     normal: np.ndarray
     outwards: np.ndarray
     sigma: np.ndarray
+
+    def part(self, where: tuple[slice, slice]) -> "Ground":
+        """Some rows and columns."""
+        return Ground(*(values[where] for values in vars(self).values()))
 
     @staticmethod
     def of(surface: Surface, window: Window, w: np.ndarray, sigma: np.ndarray, step: int = 1) -> "Ground":
@@ -272,29 +324,40 @@ def ortho_tile(
     """RGBA (4, rows, columns) u1 and source (rows, columns) u2 of a window: 1 + the number of the view that each pixel
     is of, 0 = of none. ``heights`` and ``sigma`` are those of the window with its margin."""
     wide = ortho_margin(tuning)
-    ground = Ground.of(surface, window.grown(wide), heights, sigma)
+    around = window.grown(wide)
+    ground, pieces = Ground.of(surface, around, heights, sigma), _Pieces.of(surface, around, heights)
     best, source = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.uint16)
-    seen: dict[int, tuple[np.ndarray, float]] = {}
+    seen: dict[int, _Seen] = {}
     for k, view in enumerate(images.views):
-        buffer = images.buffer(k) if meets(view, surface, window.grown(wide)) else None
+        where = pieces.seen_by(view) if meets(view, surface, around) else (slice(0, 0), slice(0, 0))
+        buffer = images.buffer(k) if best[where].size else None
         if buffer is None:
             continue
-        found = score(view, buffer, ground, surface, tuning)
-        better = found > best
+        found = score(view, buffer, ground.part(where), surface, tuning)
+        better = found > best[where]
         if better.any():
-            seen[k] = np.packbits(found > 0), buffer.fine
-            best[better], source[better] = found[better], k + 1
+            seen[k] = _Seen(where, visible=np.packbits(found > 0), fine=buffer.fine)
+            best[where][better], source[where][better] = found[better], k + 1
     rgb = _blended(ground, source, seen, images, tuning)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
     alpha = np.where(source > 0, 255, 0).astype(np.uint8)
     return np.concatenate([rgb, alpha[..., None]], axis=-1)[inner].transpose(2, 0, 1), source[inner]
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The rows and columns of a window around what an image sees, which of their pixels it sees, as packed bits, and
+    its ``Buffer.fine``."""
+
+    where: tuple[slice, slice]
+    visible: np.ndarray
+    fine: float
+
+
 def _blended(
-    ground: Ground, source: np.ndarray, seen: dict[int, tuple[np.ndarray, float]], images: Images, tuning: OrthoTuning
+    ground: Ground, source: np.ndarray, seen: dict[int, _Seen], images: Images, tuning: OrthoTuning
 ) -> np.ndarray:
-    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image which pixels it
-    sees, as packed bits, and its ``Buffer.fine``.
+    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image.
 
     Where an image does not see a pixel it gets the colour of the one that does, so that occlusions do not show; where
     none does all have that of the nearest pixel.
@@ -302,18 +365,22 @@ def _blended(
     rgb = np.zeros((*source.shape, 3), np.uint8)
     warped: dict[int, np.ndarray] = {}
     for k in (int(s) - 1 for s in np.unique(source) if s):
-        colours = warp(images.views[k], images.picture(k), ground.xyz, seen[k][1])
+        where = seen[k].where
+        colours = warp(images.views[k], images.picture(k), ground.xyz[where], seen[k].fine)
         warped[k] = np.clip(np.rint(colours * images.gains[k]), 0, 255).astype(np.uint8)
-        rgb[source == k + 1] = warped[k][source == k + 1]
+        own = source[where] == k + 1
+        rgb[where][own] = warped[k][own]
     if len(warped) < 2:
         return rgb
     nearest = distance_transform_edt(source == 0, return_distances=False, return_indices=True)
-    owner, around = source[tuple(nearest)], rgb[tuple(nearest)]
+    owner, around = source[tuple(nearest)], rgb[tuple(nearest)].astype(np.int16)
     blender = cv2.detail.MultiBandBlender(0, tuning.bands)
     blender.prepare((0, 0, source.shape[1], source.shape[0]))
     for k, colours in warped.items():
-        visible = np.unpackbits(seen[k][0], count=source.size).reshape(source.shape) > 0
-        filled = np.where((visible & (source > 0))[..., None], colours, around).astype(np.int16)
+        where, known = seen[k].where, source[seen[k].where] > 0
+        visible = np.unpackbits(seen[k].visible, count=known.size).reshape(known.shape) > 0
+        filled = around.copy()
+        filled[where][visible & known] = colours[visible & known]
         blender.feed(filled, np.where(owner == k + 1, 255, 0).astype(np.uint8), (0, 0))
     blended, _ = blender.blend(None, None)  # type: ignore[call-overload]  # it makes them
     return np.where(source[..., None] > 0, np.clip(blended, 0, 255), 0).astype(np.uint8)

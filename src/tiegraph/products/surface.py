@@ -107,8 +107,11 @@ class Surface:
 def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixel coordinates x, y (...) of world points (..., 3), and their depths (...); NaN where not in the image."""
     xy, z = camera.project(xyz)
-    inside = camera.inside(xy)
-    return np.where(inside, xy[..., 0], np.nan), np.where(inside, xy[..., 1], np.nan), np.where(inside, z, np.nan)
+    outside = ~camera.inside(xy)
+    x, y = np.moveaxis(xy, -1, 0)
+    for values in (x, y, z):
+        values[outside] = np.nan
+    return x, y, z
 
 
 def rounded_up(size: float, series: Sequence[float]) -> float:

@@ -188,7 +188,11 @@ def save_depth(depth: DepthMap, path: Path) -> None:
         columns["normal"] = scaled.astype(np.int8)
     if depth.support is not None:
         columns["support"] = depth.support
-    # Higher levels take three times as long for 5 % less.
+    save_columns(path, columns)
+
+
+def save_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write a compressed NPZ, whole or not at all. Higher levels take three times as long for 5 % less."""
     with (
         replacing(path) as temporary,
         zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
