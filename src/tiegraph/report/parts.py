@@ -60,7 +60,7 @@ def contradictions(run: RunFolder) -> tuple[str, ...]:
 def about(found: tuple[str, ...]) -> str:
     """Subjects of contradictions, for a headline: the words before their first colon that is not part of a camera's
     name ("1: SONY DSC-H300") or figure; "" if none."""
-    firsts = (re.split(r"(?<!\d):| differ by", text)[0] for text in found)
+    firsts = (re.split(r"(?<!\b\d)(?<!\b\d\d):| differ by", text)[0] for text in found)
     heads = list(dict.fromkeys(said(shorten(first, _HEAD, placeholder=" ...")) for first in firsts))
     return "; ".join(heads[:_HEADS]) + (t(" and {} more", len(heads) - _HEADS) if len(heads) > _HEADS else "")
 

@@ -260,7 +260,7 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
         doubts = rig_doubts(main, scene, held, first.registered, job.graph.components[0], tuning)
         if off := ran_off(main, scene, tuning.mapping.other_focal):
             doubts.append(
-                f"the images make {off}: one of the two is wrong. Images taken straight down over flat ground hardly "
+                f"{off}, one of the two is wrong. Images taken straight down over flat ground hardly "
                 "determine the focal length; if the given one is right, heights above the ground are wrong by the "
                 "same factor. Check heights with control points, or give a calibration (--camera) and set "
                 "sparse.refine_intrinsics = no"

@@ -233,7 +233,9 @@ def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | 
             continue
         found_px, given_px = model.cameras[key].mean_focal_length(), given.mean_focal_length()
         if not 1 / most < found_px / given_px < most:
-            return f"the focal length of {sensor.name} {found_px:.0f} px, but {given_px:.0f} px are given"
+            return (
+                f"focal length of {sensor.name}: the images make it {found_px:.0f} px, but {given_px:.0f} px are given"
+            )
     return None
 
 
