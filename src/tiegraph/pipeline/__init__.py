@@ -47,7 +47,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=11,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=12,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=11),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
@@ -75,8 +75,8 @@ STAGES = (
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=5,
            scratch=("products/.tiles",), tuned=("evaluate",)),
-    _stage("evaluate", ("match", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
-           version=11, scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
+    _stage("evaluate", ("georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"), version=11,
+           scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
     _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=16, alone=True),
 )
 # fmt: on
