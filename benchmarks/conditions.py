@@ -152,6 +152,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="*", default=[])
     parser.add_argument("--conditions", nargs="+", default=list(CONDITIONS), choices=list(CONDITIONS))
+    parser.add_argument("--severities", nargs="+", type=float, help="only these of each condition")
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=(*METHODS, *ABLATION))
     parser.add_argument("--work", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=_RESULTS)
@@ -167,7 +168,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in args.sets:
         dataset = datasets.load(name, args.work / "inputs")
         for condition in args.conditions:
-            for severity in CONDITIONS[condition][1]:
+            for severity in (s for s in CONDITIONS[condition][1] if s in (args.severities or [s])):
                 _case(dataset, (dataset.name, condition, severity), args, kept)
     if args.ablation:
         sys.stdout.write(ablation(kept) + "\n")

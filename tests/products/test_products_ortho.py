@@ -1,6 +1,7 @@
 """Orthophotos; files of rasters and their pictures: heights as colours with their scale, contour lines."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -12,6 +13,7 @@ import terrain_world as world
 from products_world import BOX, CHECK, MAP, PIXEL, ROOF, SIZE, WALL, colour, height, in_box
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.products import ortho as ortho_engine
 from tiegraph.products.frame import Frame
 from tiegraph.products.ortho import Images, block_px, draw, gains, ortho_margin, ortho_tile, patch
 from tiegraph.products.raster import Place, read_window, relief, write_raster
@@ -155,6 +157,22 @@ def test_tiles_do_not_change_the_picture(ortho, images):
     rgba, source = made(MAP, images, size=48)
     assert (source == ortho[1]).all() and (rgba[3] == ortho[0][3]).all()
     assert np.abs(rgba.astype(int) - ortho[0]).max() <= 2
+
+
+@pytest.mark.slow
+def test_what_an_image_cannot_see_is_left_out_without_a_change(monkeypatch):
+    """Pieces of the surface that lie outside of an image are neither drawn nor projected."""
+    longer = [[3, 1, 1], [1, 3, 1], [1, 1, 1]]  # times the focal length: each sees a ninth of what it saw
+    close = [replace(v, K=v.K * longer, name=f"close {v.name}") for v in MAP.views()[:2]]
+    found, points = [], []
+    for size in (10_000, 16):
+        monkeypatch.setattr(ortho_engine, "_PIECE", size)
+        monkeypatch.setattr(ortho_engine, "project", lambda v, xyz: points[-1].append(xyz.size) or project(v, xyz))
+        points.append([])
+        images = images_of(MAP, close)
+        found.append((*made(MAP, images), *(images.buffer(k).depth for k in range(2))))
+    assert (found[0][1] > 0).mean() > 0.02 and all(map(np.array_equal, *found))
+    assert sum(points[1]) < 0.5 * sum(points[0])
 
 
 @pytest.mark.slow
