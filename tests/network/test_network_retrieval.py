@@ -20,7 +20,7 @@ from tiegraph.network.loose import BagsOfWords, bags_of_words, nearest_images, s
 from tiegraph.network.map import _aggregated, _joined, _layout
 from tiegraph.network.network import metres_per_unit, with_bases
 from tiegraph.network.passes import MatchCache, find_passes
-from tiegraph.network.plots import _matrix, map_png, matrix_png, sections_png, weak_pairs
+from tiegraph.network.plots import map_png, sections_png, weak_pairs
 from tiegraph.network.retrieval import loop_candidates, retrieve
 from tiegraph.network.sections import UpLight, find_sections
 from tiegraph.network.settings import CandidatesSettings
@@ -30,7 +30,7 @@ from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.graph import components
-from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs, PreviewMatches, Visibility
+from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, Visibility
 from tiegraph.scene.results import png
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -297,26 +297,15 @@ def positions(world: World) -> np.ndarray:
 def test_pictures_of_a_survey() -> None:
     _, network = surveyed()
     pictures = dict(network.pictures())
-    assert {"matrix", "offsets", "sections"} <= set(pictures)
+    assert {"map", "offsets", "sections"} <= set(pictures)
     for data in pictures.values():
         image = opened(data)
         assert 300 < image.shape[0] < 4000 and 800 < image.shape[1] < 2000
-    blue = tuple(int(REASON_LOOKS["kept"][1][k : k + 2], 16) for k in (1, 3, 5))
-    assert 0.02 < share_of(pictures["matrix"], blue) < 0.4
-
-
-def test_kept_pairs_win_where_cells_are_shared() -> None:
-    dropped = np.array([REASONS.index("section"), 0, REASONS.index("section")])
-    pairs = Pairs.make([0, 1, 2], [2401, 2402, 2403], "offsets", dropped=dropped)
-    cells, step = _matrix(pairs, np.arange(2404), 2404)
-    assert step == 3 and cells.shape == (802, 802) and cells[0, 800] == 1 and cells[800, 0] == 1
-    assert np.count_nonzero(cells) in (2, 4)
 
 
 @pytest.mark.slow
-def test_maps_without_positions_say_so_and_loose_photographs_have_a_matrix() -> None:
+def test_maps_without_positions_say_so() -> None:
     pairs = Pairs.make([0, 1, 2, 3], [1, 2, 3, 4], "exhaustive")
-    assert opened(matrix_png(pairs, photos(5))).size
     assert share_of(map_png(pairs, None, photos(7)), RED) > 1e-4  # it says that there are no positions
     world, _ = surveyed()
     assert share_of(map_png(Pairs.empty(), None, world.scene), RED) > 1e-4

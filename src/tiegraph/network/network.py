@@ -35,13 +35,12 @@ class Network:
     notes: tuple[str, ...]
 
     def plots(self, cam_from_world: np.ndarray | None) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the correspondence matrix, the map and the sections. ``cam_from_world``
-        (N, 4, 4): poses of the coarse model, where no prior says where the frames are; NaN = none."""
+        """(name, PNG) of the map and the sections. ``cam_from_world`` (N, 4, 4): poses of the coarse model, where no
+        prior says where the frames are; NaN = none."""
         from tiegraph.network import plots as draw  # loads matplotlib
 
         positions, unit = positions_of(self.scene, cam_from_world)
-        out = [("matrix", draw.matrix_png(self.pairs, self.scene))]
-        out.append(("map", draw.map_png(self.pairs, positions, self.scene, unit=unit)))
+        out = [("map", draw.map_png(self.pairs, positions, self.scene, unit=unit))]
         if self.cut.cues:
             out.append(("sections", draw.sections_png(self.scene, self.cut.sections, self.cut.cues)))
         return out

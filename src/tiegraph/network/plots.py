@@ -1,96 +1,22 @@
-"""Pictures of the network as PNG: correspondence matrix, offset curves, sections and the cues of the up camera along
-the passes, and the map."""
+"""Pictures of the network as PNG: offset curves, sections and the cues of the up camera along the passes, and the map.
+The report draws the correspondence matrix (report/network.py)."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogFormatter, MaxNLocator
 
 from tiegraph.network.map import BLUE, DPI, INK, RED, map_png, weak_pairs
 from tiegraph.network.offsets import OffsetCurve
 from tiegraph.network.sections import Cue, Section
-from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.results import png
 from tiegraph.scene.scene import Scene
 
-__all__ = ["curves_png", "map_png", "matrix_png", "sections_png", "weak_pairs"]
-MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by the most important entry of each cell
+__all__ = ["curves_png", "map_png", "sections_png", "weak_pairs"]
 MAX_PANELS = 60
-NEVER = "#ffffff"
 _PANEL_IN = 2.2
-
-
-def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
-    """Correspondence matrix (paper 003): images by pass, camera and frame; colour = kept or why it was dropped."""
-    order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
-    cells, reduced = _matrix(pairs, order, len(scene))
-    # Long camera names need room; the square of the matrix keeps its size.
-    room = 0.35 + 0.075 * max(len(s.name) for s in scene.all_sensors)
-    width, height = 6.2 + room + 3.6, 6.2 + room + 0.8
-    figure = Figure(figsize=(width, height), dpi=DPI)
-    axes = figure.add_axes((room / width, room / height, 6.2 / width, 6.2 / height))
-    right = (room + 6.55) / width
-    colours = ListedColormap([NEVER, *(REASON_LOOKS[r][1] for r in REASONS)])
-    norm = BoundaryNorm(np.arange(-0.5, len(REASONS) + 1.5), len(REASONS) + 1)
-    axes.imshow(cells, cmap=colours, norm=norm, interpolation="nearest", extent=(0, len(scene), len(scene), 0))
-    _matrix_grid(axes, scene, order)
-    count, total = np.bincount(pairs.dropped, minlength=len(REASONS)), len(scene) * (len(scene) - 1) // 2
-    looks = [(REASON_LOOKS[r], n) for r, n in zip(REASONS, count) if n]
-    handles = [Patch(facecolor=colour, label=f"{name}: {n}") for (name, colour), n in looks]
-    handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not matched: {total - len(pairs)}"))
-    figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9
-    )
-    title = f"Which images tie to which: {count[0]} of {total} pairs"
-    axes.set_title(title, fontsize=12, loc="left", pad=26)
-    if reduced > 1:
-        figure.text(right, room / height, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
-    return png(figure)
-
-
-def _matrix(pairs: Pairs, order: np.ndarray, images: int) -> tuple[np.ndarray, int]:
-    """(M, M) u1 codes (0 = never, 1 + reason) in drawing order, and the number of images of one cell."""
-    step = max(1, -(-images // MATRIX_CELLS))
-    place = np.empty(images, int)
-    place[order] = np.arange(images)
-    size = -(-images // step)
-    a, b = place[pairs.i] // step, place[pairs.j] // step
-    # Kept pairs are drawn last, so that they cover dropped pairs in the same cell.
-    rows = np.argsort(pairs.dropped == 0, kind="stable")
-    cells = np.zeros((size, size), np.uint8)
-    cells[a[rows], b[rows]] = cells[b[rows], a[rows]] = 1 + pairs.dropped[rows]
-    return cells, step
-
-
-def _matrix_grid(axes: Axes, scene: Scene, order: np.ndarray) -> None:
-    """Thin lines between cameras, thick ones between passes, and their names."""
-    sequence = scene.sequence[scene.frame][order]
-    key = scene.sensor_key[order]
-    n = len(order)
-    camera_edges = np.r_[0, 1 + np.flatnonzero((np.diff(sequence) != 0) | (np.diff(key) != 0)), n]
-    pass_edges = np.r_[0, 1 + np.flatnonzero(np.diff(sequence) != 0), n]
-    few = len(camera_edges) <= 61
-    lines = [(pass_edges, 1.4, "#444444")]
-    for edges, width, colour in [(camera_edges, 0.4, "#bbbbbb"), *lines] if few else lines:
-        for e in edges[1:-1]:
-            axes.axhline(e, color=colour, lw=width)
-            axes.axvline(e, color=colour, lw=width)
-    names = [s.name for s in scene.all_sensors]
-    if few and len(names) > 1:
-        middles = (camera_edges[:-1] + camera_edges[1:]) / 2
-        labels = [names[key[e]] for e in camera_edges[:-1]]
-        axes.set_yticks(middles, labels, fontsize=8)
-        axes.set_xticks(middles, labels, fontsize=8, rotation=90)
-        axes.tick_params(length=0)
-    if len(scene.sequences) > 1 and len(pass_edges) <= 13:
-        for a, b in zip(pass_edges[:-1], pass_edges[1:]):
-            name = scene.sequences[sequence[a]] if sequence[a] >= 0 else "loose"
-            axes.text((a + b) / 2, -0.012 * n, name, ha="center", va="bottom", fontsize=10)
-            axes.text(1.012 * n, (a + b) / 2, name, ha="left", va="center", fontsize=10, rotation=270)
 
 
 def curves_png(curves: Sequence[OffsetCurve]) -> bytes:

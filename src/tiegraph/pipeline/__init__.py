@@ -77,7 +77,7 @@ STAGES = (
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"), version=11,
            scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=16, alone=True),
+    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=17, alone=True),
 )
 # fmt: on
 

@@ -127,8 +127,6 @@ _TITLES = {
 }  # fmt: skip
 # Pictures of the network folder in order of display; the first word found in the file's name decides.
 _CAPTIONS = {
-    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
-    "was dropped.",
     "map": "The tie graph on the map, by kind of tie, before the design: every pair that is expected to share surface.",
     "design": "The ties that the design chose to match: thick bundles hold the survey together, a red line is a place "
     "with only one link.",
@@ -137,7 +135,6 @@ _CAPTIONS = {
     "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. The pair "
     "range is centred on a clear peak; a flat curve means the two never see the same place.",
     "section": "View of the upward camera along the path, and the bridge and open sections derived from it.",
-    "funnel": "How many pairs of images each filter of the network left.",
 }
 _WEAK_LINKS = "Weak links: places where the survey is disconnected, or weakly connected, if one tie or frame is lost."
 _SOUND = "No weak links: no place depends on a single tie or frame."
@@ -157,7 +154,7 @@ def network_part(run: RunFolder) -> dict[str, Any]:
     notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
     sentences = [note if note.endswith((".", "!", "?")) else f"{note}." for note in map(capital, run.notes("coarse"))]
     out |= {"model": sentences, "notes": list(notes.items()), "links": [], "tables": []}
-    out["pictures"] = _pictures(run, drawn=out["matrices"] is not None)
+    out["pictures"] = _pictures(run)
     for stage in _NETWORK_STAGES:
         for name, data in run.tables(stage).items():
             plain = str(name).replace("_", " ")
@@ -175,15 +172,14 @@ def _title(stage: str) -> str:
     return t(_TITLES.get(stage, stage.capitalize()))
 
 
-def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
+def _pictures(run: RunFolder) -> list[tuple[str, str]]:
     found, order = [], list(_CAPTIONS)
     for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
         title = path.stem.replace("curve", "offset")
         if path.parent.name == "design":
             title = {"surface": "covered"}.get(path.stem, "design")
         kind = next((k for k in order if k in title), "")
-        uri = None if drawn and kind in ("matrix", "funnel") else file_uri(path)  # these have charts
-        if uri:
+        if uri := file_uri(path):
             caption = t(_CAPTIONS.get(kind, path.stem.replace("_", " ")))
             found.append((order.index(kind) if kind else len(order), uri, caption))
     return [(uri, caption) for _, uri, caption in sorted(found, key=lambda f: f[0])]
