@@ -93,6 +93,18 @@ def test_strays_far_away_do_not_make_a_raster_endless():
     assert max(found.shape) < 200
 
 
+def test_a_narrow_part_of_the_survey_is_not_cut_off():
+    cloud = MAP.cloud(0.04)
+    (whole,), _ = choose(survey(MAP, sample=cloud), ProductsSettings(pixel_m=0.05), TUNING)
+    few = len(cloud) // 400  # a path that leads away from the area, and a point beyond
+    cloud.xyz_m[:few, 0] = np.linspace(0.99, 0.75, few) * whole.low[0] + np.linspace(0.01, 0.25, few) * whole.high[0]
+    cloud.xyz_m[:few, 1] = whole.high[1] + np.linspace(0, 0.3, few) * (whole.high[1] - whole.low[1])
+    cloud.xyz_m[few, 1] = whole.high[1] + 5 * (whole.high[1] - whole.low[1])
+    (found,), _ = choose(survey(MAP, sample=cloud), ProductsSettings(pixel_m=0.05), TUNING)
+    tall = found.high[1] - found.low[1]
+    assert 1.27 < tall / (whole.high[1] - whole.low[1]) < 1.33
+
+
 def test_the_box_around_a_window_holds_its_pixels():
     surface = WALL.surface
     window = Window(20, 30, rows=10, columns=15)

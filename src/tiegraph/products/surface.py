@@ -285,9 +285,19 @@ def _inside(surface: Surface, cloud: Cloud) -> np.ndarray:
     return np.all((uvw >= surface.low) & (uvw <= surface.high), axis=1)
 
 
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    """The least and the greatest of values as far as they follow each other: strays lie beyond a gap of a twentieth of
+    the range of the middle 99 %."""
+    ordered = np.sort(values)
+    low, high = np.quantile(ordered, [0.005, 0.995])
+    gap = np.diff(ordered) > (high - low) / 20
+    before, behind = np.flatnonzero(gap & (ordered[1:] <= low)), np.flatnonzero(gap & (ordered[:-1] >= high))
+    return ordered[before[-1] + 1 if len(before) else 0], ordered[behind[0] if len(behind) else -1]
+
+
 def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> Surface:
-    """The surface with the size of its pixels, and a box of whole pixels around nearly all points that images
-    resolve."""
+    """The surface with the size of its pixels, and a box of whole pixels around the points that images resolve, without
+    strays."""
     own = survey.sample.xyz_m[_inside(surface, survey.sample)]
     own = own[evenly(len(own), 10_000)]  # points of a surface for its extent and the resolution of the images
     sizes = np.full(len(own), np.nan)  # of a pixel of the nearest image that sees a point
@@ -297,9 +307,7 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     pixel = settings.pixel_m or rounded_up(max(gsd, survey.spacing / 2), _SERIES)
     near = sizes <= tuning.coarsest * pixel
     uv = surface.frame.uvw(own[near] if near.any() else own)[:, :2]
-    low, high = np.quantile(uv, [tuning.trimmed, 1 - tuning.trimmed], axis=0)
-    wide = 0.05 * (high - low)  # more than the part trimmed of an even cover
-    low, high = np.maximum(low - wide, uv.min(axis=0)), np.minimum(high + wide, uv.max(axis=0))
+    low, high = np.transpose([_ends(values) for values in uv.T])
     low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # given limits are kept
     high = np.where(np.isfinite(surface.high), surface.high, np.append(high, 0.0))
     frame, offset = surface.frame, survey.shift

@@ -30,9 +30,7 @@ class ChooseTuning(Section):
     """Pieces of the alignment of an unrolled surface are as long as so many diameters of the tube or heights of the
     wall: arcs and clothoids of roads and railways are longer, settlements and bulges are shorter."""
     coarsest: float = Field(3.0, ge=1)
-    """A raster reaches as far as images resolve the surface by this many of its pixels, ..."""
-    trimmed: float = Field(0.005, ge=0, lt=0.5)
-    """... except for this share of the points at each border: distant strays would make it endless."""
+    """A raster reaches as far as images resolve the surface by this many of its pixels."""
 
 
 class HeightTuning(Section):
