@@ -17,6 +17,9 @@ import numpy as np
 from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened, read_frames, read_small
 from tiegraph.masks.tuning import PlatformTuning, QualityTuning, Tuning
 
+_CLEAR, _STILL_PX = 0.75, 0.35  # coherence of the clearest edges; px that a fixed edge may shake
+_FOR_MARKS = 12  # images of a camera; more add time and no certainty
+
 
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     """Images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
@@ -68,9 +71,7 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
         why = "one image" if count == 1 else f"{count} images, {len(different)} of them different: it hardly moves"
         return different, None, f"no platform learnt ({why}; {least} are needed)"
     # More add time and no certainty
-    frames = [grey(image) for _, image in read_frames(spread(different, 28), tuning.frames.work_px)]
-    shapes = [f.shape for f in frames]
-    frames = [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
+    frames = _of_one_shape([grey(image) for _, image in read_frames(spread(different, 28), tuning.frames.work_px)])
     mask = platform_of_frames(frames, tuning.platform)
     if len(frames) < 10:
         mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
@@ -79,12 +80,30 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
     return different, mask, f"platform {100 * mask.mean():.0f} %"
 
 
+def learn_marks(images: Sequence[Path], tuning: Tuning) -> np.ndarray | None:
+    """What stands still in all images of one camera between which the scene moves, (h, w) bool: burnt-in text, scales,
+    cross hairs, dirt, the border of a rectified image. None if there is nothing, or too few images differ."""
+    different = different_frames(spread(images, _FOR_MARKS), tuning)
+    frames = _of_one_shape([grey(image) for _, image in read_frames(different, tuning.frames.work_px)])
+    if len(frames) < tuning.platform.min_frames:
+        return None
+    clear = _directions(frames, tuning.platform)[0] > _CLEAR
+    marks = _long(clear & (_shake_px(frames, tuning.platform) < _STILL_PX))
+    # With what is between the letters of a word, and what a feature beside them would describe
+    return dilated(closed(marks, 15), 9) if marks.any() else None
+
+
+def _of_one_shape(frames: list[np.ndarray]) -> list[np.ndarray]:
+    shapes = [f.shape for f in frames]
+    return [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
+
+
 def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
     """Platform (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
     coherence, departs, textured = _directions(frames, tuning)
     shake = _shake_px(frames, tuning)
     # Px that an edge may shake, the clearest more: a far scene shakes more
-    still = np.where(coherence > 0.75, 0.5, 0.35)
+    still = np.where(coherence > _CLEAR, 0.5, _STILL_PX)
     edges = coherence > tuning.coherent
     fixed = _long(edges & (shake < still))
     shaking = edges & (shake > 0.7)  # a coherent edge that shakes by more px moves

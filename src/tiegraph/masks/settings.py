@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from tiegraph.plugins import or_plugin
 from tiegraph.settings import Section, user_path
 
-SourceName = Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "model", "folder", "none"]
+SourceName = Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "model", "folder", "marks", "none"]
 
 
 class MasksSettings(Section):
@@ -18,7 +18,8 @@ class MasksSettings(Section):
     """Source of masks: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
     parts of first and last frame, sky, overexposure (paper 001); meguro2024 = equal parts of first and last frame
     (paper 000); sky = only sky and overexposure; model = your segmentation model; folder = your masks;
-    none = all is used; auto = folder if given, else learnt for rigs on a path, else none."""
+    marks = what stands still in all images of a camera: text, scales, dirt; none = all is used;
+    auto = folder if given, else learnt for rigs on a path, else marks."""
 
     folder: Path | None = user_path("folder")
     """Folder of your own masks; for up/cam0/a.jpg the first of up/cam0/a.jpg.png, up/cam0/a_mask.png, up/cam0/a.png, or

@@ -19,6 +19,7 @@ from tiegraph.masks.classification import Classifier, classes_of
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.learnt import Map, learn
+from tiegraph.masks.platform import learn_marks
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.atomic import regular
@@ -80,8 +81,8 @@ def nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> 
 def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     """(name of the source, why) for a scene.
 
-    ``auto`` masks the cameras of a rig on a path, learnt from them. Loose photographs and single cameras are
-    not masked: they share no platform, and a single camera cannot distinguish water from a road.
+    ``auto`` masks the cameras of a rig on a path, learnt from them. In loose photographs and single cameras only what
+    stands still is masked: they share no platform, and a single camera cannot distinguish water from a road.
     Raises InputError if a folder of masks lacks one of the images.
     """
     automatic = settings.source == "auto"
@@ -94,13 +95,14 @@ def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tup
 def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     if settings.folder is not None:
         return "folder", "a folder of masks is given"
+    still = "only what stands still in all images of a camera is masked"
     if (scene.sequence < 0).any():
-        return "none", "loose photographs share no platform that could be masked"
+        return "marks", f"loose photographs share no platform; {still}"
     if all(len(r.sensors) < 2 for r in scene.rigs):
-        return "none", "a single camera: name a mask source if its platform is in view"
+        return "marks", f"a single camera: name another source if its platform is in view; {still}"
     fewest = int(np.bincount(scene.sensor_key, minlength=len(scene.all_sensors)).min())
     if fewest < tuning.auto_frames:
-        return "none", f"a camera has only {fewest} frames, fewer than {tuning.auto_frames}"
+        return "marks", f"a camera has only {fewest} frames, fewer than {tuning.auto_frames}; {still}"
     return "learnt", "a rig that moves along a path"
 
 
@@ -132,6 +134,30 @@ def _learnt(image: Path, prepared: Classifier, settings: MasksSettings, tuning: 
     size = image_size(image)
     check_shape(image, size, prepared.platform, tuning)
     return classes_of(image, prepared, settings, small_shape(size, tuning.frames.work_px), tuning)
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """What stands still in the images of a camera, (h, w) bool, None if nothing does."""
+
+    marks: np.ndarray | None
+
+    @property
+    def note(self) -> str:
+        """For people; "" if there is none."""
+        share = 0.0 if self.marks is None else 100 * self.marks.mean()
+        return f"{share:.1f} % of the image stands still in all (text, scale, dirt): masked" if share else ""
+
+
+def _find_marks(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> Marks:
+    return Marks(learn_marks(images, tuning))
+
+
+def _without_marks(image: Path, prepared: Marks, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+    size = image_size(image)
+    if prepared.marks is None or prepared.marks.shape != small_shape(size, tuning.frames.work_px):
+        return np.ones(size, bool)
+    return ~prepared.marks
 
 
 @dataclass(frozen=True)
@@ -216,5 +242,6 @@ SOURCES: dict[str, MaskSource] = {
     "learnt": MaskSource(_prepare_learnt, _learnt),
     "model": MaskSource(each(_read_model), _by_model),
     "folder": MaskSource(each(nothing), _folder),
+    "marks": MaskSource(each(_find_marks), _without_marks),
     "none": MaskSource(each(nothing), lambda image, *_: np.ones(image_size(image), bool)),
 }
