@@ -8,14 +8,17 @@ By the same comparison of two frames, images are flagged that are hardly worth k
 blurred compared with their neighbours.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
 
-from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened, read_frames, read_small
+from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened, read_frames, read_small, small_shape
 from tiegraph.masks.tuning import PlatformTuning, QualityTuning, Tuning
+
+T = TypeVar("T")
 
 _CLEAR, _STILL_PX = 0.75, 0.35  # coherence of the clearest edges; px that a fixed edge may shake
 _FOR_MARKS = 12  # images of a camera; more add time and no certainty
@@ -23,17 +26,22 @@ _FOR_MARKS = 12  # images of a camera; more add time and no certainty
 
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     """Images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
-    chosen: list[Path] = []
-    last: tuple[np.ndarray, np.ndarray] | None = None
     # Frames tested when choosing those that differ
-    for path, image in read_frames(spread(images, 160), tuning.frames.look_px):
-        detail = _detail(image, tuning.platform)
+    return _different(read_frames(spread(images, 160), tuning.frames.look_px), tuning.platform)
+
+
+def _different(images: Iterable[tuple[T, np.ndarray]], tuning: PlatformTuning) -> list[T]:
+    """The first of each pair with an image u1 BGR between which and the one chosen before most of the texture moved."""
+    chosen: list[T] = []
+    last: tuple[np.ndarray, np.ndarray] | None = None
+    for item, image in images:
+        detail = _detail(image, tuning)
         if last is not None and last[0].shape != detail[0].shape:
             continue
-        if last is not None and not _moved(last, detail, tuning.platform) >= tuning.platform.min_moved:
+        if last is not None and not _moved(last, detail, tuning) >= tuning.min_moved:
             continue
         last = detail
-        chosen.append(path)
+        chosen.append(item)
     return chosen
 
 
@@ -83,8 +91,10 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
 def learn_marks(images: Sequence[Path], tuning: Tuning) -> np.ndarray | None:
     """What stands still in all images of one camera between which the scene moves, (h, w) bool: burnt-in text, scales,
     cross hairs, dirt, the border of a rectified image. None if there is nothing, or too few images differ."""
-    different = different_frames(spread(images, _FOR_MARKS), tuning)
-    frames = _of_one_shape([grey(image) for _, image in read_frames(different, tuning.frames.work_px)])
+    read = [image for _, image in read_frames(spread(images, _FOR_MARKS), tuning.frames.work_px)]
+    sizes = [small_shape(image.shape[:2], tuning.frames.look_px)[::-1] for image in read]
+    looks = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image, size in zip(read, sizes)]
+    frames = _of_one_shape([grey(image) for image in _different(zip(read, looks), tuning.platform)])
     if len(frames) < tuning.platform.min_frames:
         return None
     clear = _directions(frames, tuning.platform)[0] > _CLEAR
