@@ -98,9 +98,20 @@ def learn_marks(images: Sequence[Path], tuning: Tuning) -> np.ndarray | None:
     if len(frames) < tuning.platform.min_frames:
         return None
     clear = _directions(frames, tuning.platform)[0] > _CLEAR
-    marks = _long(clear & (_shake_px(frames, tuning.platform) < _STILL_PX))
-    # With what is between the letters of a word, and what a feature beside them would describe
-    return dilated(closed(marks, 15), 9) if marks.any() else None
+    still = _long(clear & (_shake_px(frames, tuning.platform) < _STILL_PX))
+    marks = _in_two_directions(still, np.median(frames, axis=0).astype(np.float32))
+    return marks if marks.any() else None
+
+
+def _in_two_directions(still: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """The parts of edges (h, w) bool that have more than one direction, with what is between the letters of a word and
+    what a feature beside them would describe: a long edge along which a camera moves stands still too."""
+    parts = dilated(closed(still, 15), 9)
+    count, labels = cv2.connectedComponents(parts.astype(np.uint8), connectivity=8)
+    x, y = (cv2.Sobel(picture, cv2.CV_32F, *axis, ksize=3)[still] for axis in ((1, 0), (0, 1)))
+    xx, yy, xy = (np.bincount(labels[still], product, minlength=count) for product in (x * x, y * y, x * y))
+    most = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)  # of the eigenvalues of the structure tensor, whose sum ...
+    return ((xx + yy - most) > 0.1 * most)[labels] & parts  # ... is that of the squares
 
 
 def _of_one_shape(frames: list[np.ndarray]) -> list[np.ndarray]:
