@@ -478,6 +478,17 @@ def test_the_bands_of_a_sequoia_in_one_folder_are_a_rig(tmp_path: Path) -> None:
     assert says(scene.notes, "5 cameras that share folders, by the ends of the file names")
 
 
+def test_the_bands_of_a_dji_head_are_a_rig_with_its_colour_camera(tmp_path: Path) -> None:
+    for shot in range(3):
+        for band in ("G", "R", "RE", "NIR"):
+            _tiff(tmp_path / f"DJI_202308_000{shot}_MS_{band}.TIF")
+        picture(tmp_path / f"DJI_202308_000{shot}_D.JPG", (96, 72))
+    scene = scan(tmp_path)
+    rig = _rig(scene)
+    assert [s.folder for s in rig.sensors] == ["*_D", "*_MS_G", "*_MS_NIR", "*_MS_R", "*_MS_RE"] and rig.nominal
+    assert scene.frames == 3 and len(scene) == 15 and not scene.dropped
+
+
 def test_numbers_of_micasense_are_bands_and_their_xmp_turns_them(tmp_path: Path) -> None:
     for shot in range(3):
         for index, band in ((1, "Blue"), (2, "Green"), (3, "Red")):

@@ -34,6 +34,9 @@ _LARGEST_GAIN = 2.0  # of an exposure, either way
 
 Pictures = Callable[[int], np.ndarray]
 """RGB (H, W, 3) u1 of a view by its number."""
+Seen = tuple[tuple[slice, slice], np.ndarray, float]
+"""Of an image in a window: rows and columns around what it sees, which of their pixels it sees, as packed bits, and its
+``Buffer.fine``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +330,7 @@ def ortho_tile(
     around = window.grown(wide)
     ground, pieces = Ground.of(surface, around, heights, sigma), _Pieces.of(surface, around, heights)
     best, source = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.uint16)
-    seen: dict[int, _Seen] = {}
+    seen: dict[int, Seen] = {}
     for k, view in enumerate(images.views):
         where = pieces.seen_by(view) if meets(view, surface, around) else (slice(0, 0), slice(0, 0))
         buffer = images.buffer(k) if best[where].size else None
@@ -336,7 +339,7 @@ def ortho_tile(
         found = score(view, buffer, ground.part(where), surface, tuning)
         better = found > best[where]
         if better.any():
-            seen[k] = _Seen(where, visible=np.packbits(found > 0), fine=buffer.fine)
+            seen[k] = where, np.packbits(found > 0), buffer.fine
             best[where][better], source[where][better] = found[better], k + 1
     rgb = _blended(ground, source, seen, images, tuning)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
@@ -344,18 +347,8 @@ def ortho_tile(
     return np.concatenate([rgb, alpha[..., None]], axis=-1)[inner].transpose(2, 0, 1), source[inner]
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """The rows and columns of a window around what an image sees, which of their pixels it sees, as packed bits, and
-    its ``Buffer.fine``."""
-
-    where: tuple[slice, slice]
-    visible: np.ndarray
-    fine: float
-
-
 def _blended(
-    ground: Ground, source: np.ndarray, seen: dict[int, _Seen], images: Images, tuning: OrthoTuning
+    ground: Ground, source: np.ndarray, seen: dict[int, Seen], images: Images, tuning: OrthoTuning
 ) -> np.ndarray:
     """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image.
 
@@ -365,8 +358,8 @@ def _blended(
     rgb = np.zeros((*source.shape, 3), np.uint8)
     warped: dict[int, np.ndarray] = {}
     for k in (int(s) - 1 for s in np.unique(source) if s):
-        where = seen[k].where
-        colours = warp(images.views[k], images.picture(k), ground.xyz[where], seen[k].fine)
+        where, _, fine = seen[k]
+        colours = warp(images.views[k], images.picture(k), ground.xyz[where], fine)
         warped[k] = np.clip(np.rint(colours * images.gains[k]), 0, 255).astype(np.uint8)
         own = source[where] == k + 1
         rgb[where][own] = warped[k][own]
@@ -377,8 +370,9 @@ def _blended(
     blender = cv2.detail.MultiBandBlender(0, tuning.bands)
     blender.prepare((0, 0, source.shape[1], source.shape[0]))
     for k, colours in warped.items():
-        where, known = seen[k].where, source[seen[k].where] > 0
-        visible = np.unpackbits(seen[k].visible, count=known.size).reshape(known.shape) > 0
+        where, bits, _ = seen[k]
+        known = source[where] > 0
+        visible = np.unpackbits(bits, count=known.size).reshape(known.shape) > 0
         filled = around.copy()
         filled[where][visible & known] = colours[visible & known]
         blender.feed(filled, np.where(owner == k + 1, 255, 0).astype(np.uint8), (0, 0))

@@ -314,10 +314,10 @@ def _regular_numbers(names: Sequence[str]) -> bool:
 
 
 _BANDS = frozenset(
-    "gre red reg nir rgb green blue blu rededge lwir thermal tir pan panchro ms_g ms_r ms_re ms_nir".split()
+    "gre red reg nir rgb green blue blu rededge lwir thermal tir pan panchro d ms_g ms_r ms_re ms_nir".split()
 )
 _CAMERA = r"left|right|front|rear|back|(?:cam|camera)_?\d+"
-_END = re.compile(rf"(?i)^(?P<shot>.+)_(?P<mark>{'|'.join(_BANDS)}|{_CAMERA}|\d{{1,2}})$")
+_END = re.compile(rf"(?i)^(?P<shot>.+?)_(?P<mark>{'|'.join(_BANDS)}|{_CAMERA}|\d{{1,2}})$")
 _BEGIN = re.compile(rf"(?i)^(?P<mark>(?:{_CAMERA})[_-]?)(?P<shot>\d.*)$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
 
@@ -371,7 +371,8 @@ def with_rig_tags(spec: RigSpec, layout: Layout, exif: Sequence[Exif], notes: li
     tags = [[e.rig for e, p in zip(exif, layout.places) if p and p.folder == s.folder] for s in spec.sensors]
     angles = [Counter(t.relatives_deg for t in found if t.relatives_deg) for found in tags]
     told = sum(map(bool, angles))
-    one_head = all(f.startswith("*_") and not is_camera(f) for f in layout.folders)  # bands
+    marks = [f.removeprefix("*_").lower() for f in layout.folders if is_pattern(f)]
+    one_head = len(marks) == len(tags) and all(m in _BANDS or m.isdigit() for m in marks)
     if len(tags) < 2 or not (told == len(tags) or one_head):
         return spec
     reference = next((t.reference for found in tags for t in found if t.reference >= 0), -1)
