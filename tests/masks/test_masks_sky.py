@@ -281,6 +281,26 @@ def test_platform_is_found_in_any_light(light):
 
 
 @pytest.mark.slow
+def test_burnt_in_text_is_masked_and_no_outline_of_a_platform(tmp_path):
+    """The sky of a vehicle's camera was taken for its platform, because letters stood still along its outline."""
+    frames, places = [scenery(k) for k in range(12)], [(x, y) for x in (10, 130, 240) for y in (30, 62)]
+    for k, image in enumerate(frames):
+        across, rng = np.arange(SHAPE[1]), np.random.default_rng(k)
+        skyline = 70 + 12 * np.sin(across / 25 + k) + rng.uniform(-10, 10)
+        image[np.arange(SHAPE[0])[:, None] < skyline] = 225
+    platform_alone, text = platform_of_frames(frames, TUNING.platform), np.zeros(SHAPE, bool)
+    for x, y in places:
+        text[y - 9 : y, x : x + 28] = True
+        for image in frames:
+            cv2.putText(image, "23.4C", (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 0, 1, cv2.LINE_AA)
+    assert iou(platform_of_frames(frames, TUNING.platform), platform_alone) > 0.95
+    paths = [write(tmp_path / f"{k}.png", image) for k, image in enumerate(frames)]
+    mask = learn_platform(paths, TUNING)[1]
+    assert mask[text].mean() > 0.97 and mask[platform_alone].mean() > 0.97
+    assert (mask & ~platform_alone).mean() < 0.1
+
+
+@pytest.mark.slow
 def test_nothing_is_invented_where_everything_moves():
     """And a far skyline that shakes is no platform."""
     rng = np.random.default_rng(3)

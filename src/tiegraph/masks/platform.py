@@ -83,6 +83,7 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
     mask = platform_of_frames(frames, tuning.platform)
     if len(frames) < 10:
         mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
+    mask |= marks_of_frames(frames, tuning.platform)
     if not mask.any():
         return different, None, "no platform seen"
     return different, mask, f"platform {100 * mask.mean():.0f} %"
@@ -97,18 +98,21 @@ def learn_marks(images: Sequence[Path], tuning: Tuning) -> np.ndarray | None:
     frames = _of_one_shape([grey(image) for image in _different(zip(read, looks), tuning.platform)])
     if len(frames) < tuning.platform.min_frames:
         return None
-    clear = _directions(frames, tuning.platform)[0] > _CLEAR
-    still = _long(clear & (_shake_px(frames, tuning.platform) < _STILL_PX))
-    marks = _in_two_directions(still, np.median(frames, axis=0).astype(np.float32))
+    marks = marks_of_frames(frames, tuning.platform)
     return marks if marks.any() else None
 
 
-def _in_two_directions(still: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    """The parts of edges (h, w) bool that have more than one direction, with what is between the letters of a word and
-    what a feature beside them would describe: a long edge along which a camera moves stands still too."""
+def marks_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
+    """Marks (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved.
+
+    They are clear edges that stand still and have more than one direction, with what is between the letters of a word
+    and what a feature beside them would describe: a long edge along which a camera moves stands still too.
+    """
+    clear = _directions(frames, tuning)[0] > _CLEAR
+    still = _long(clear & (_shake_px(frames, tuning) < _STILL_PX))
     parts = dilated(closed(still, 15), 9)
     count, labels = cv2.connectedComponents(parts.astype(np.uint8), connectivity=8)
-    x, y = (cv2.Sobel(picture, cv2.CV_32F, *axis, ksize=3)[still] for axis in ((1, 0), (0, 1)))
+    x, y = (gradient[still] for gradient in _gradient(_median(frames)))
     xx, yy, xy = (np.bincount(labels[still], product, minlength=count) for product in (x * x, y * y, x * y))
     most = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)  # of the eigenvalues of the structure tensor, whose sum ...
     return ((xx + yy - most) > 0.1 * most)[labels] & parts  # ... is that of the squares
@@ -127,6 +131,7 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     still = np.where(coherence > _CLEAR, 0.5, _STILL_PX)
     edges = coherence > tuning.coherent
     fixed = _long(edges & (shake < still))
+    borders = fixed & ~_strokes(fixed, _median(frames))
     shaking = edges & (shake > 0.7)  # a coherent edge that shakes by more px moves
     departs, textured = (_blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (departs, textured))
     moving = departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
@@ -136,8 +141,8 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     extremes = np.percentile(np.stack(half), percent, axis=0).astype(np.float32)
     low, high = (cv2.resize(grey_level, frames[0].shape[::-1]) for grey_level in extremes)
     steady = high - low < 14.0  # black boxes, burnt-out decks
-    inside = _outlined((moving < tuning.moving) & ~fixed, fixed, tuning)
-    platform = inside | fixed
+    inside = _outlined((moving < tuning.moving) & ~fixed, borders, tuning)
+    platform = inside | borders
     platform |= _outlined((steady | (moving < tuning.moving)) & ~platform, platform, tuning)
     platform = closed(platform, 7)  # gaps between edges and inside
     platform = _at_border(platform, tuning.min_area)
@@ -147,7 +152,7 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     side = 2 * round(tuning.rim * max(platform.shape)) + 1
     platform = eroded(platform, side) | (platform & ~opened(platform, side + 2))
     # Round the image of a fisheye lens nothing is ever seen
-    black = _outlined(high < 12.0, fixed, tuning)  # a black backdrop ends nowhere in particular
+    black = _outlined(high < 12.0, borders, tuning)  # a black backdrop ends nowhere in particular
     black = _at_border(black, tuning.min_area)
     # Its rim blurs by 4 px of 640
     return platform | dilated(black, 2 * round((4 / 640) * max(black.shape)) + 1) if black.any() else platform
@@ -158,8 +163,7 @@ def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[n
     departs from that of the others, and which have texture."""
     unit = []
     for frame in frames:
-        smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
-        x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
+        x, y = _gradient(_blur(frame.astype(np.float32), tuning.smooth_sigma_px))
         size = np.sqrt(x * x + y * y) + 14.0  # a gradient this strong counts half (Sobel gain 8)
         unit.append((x / size, y / size))
     sum_x, sum_y = sum(u[0] for u in unit), sum(u[1] for u in unit)
@@ -198,6 +202,22 @@ def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarra
     steps = [np.hypot(_blur((d - median) * x, around), _blur((d - median) * y, around)) / energy for d in detail]
     rank = int(0.7 * (len(steps) - 1))
     return np.partition(np.stack(steps), rank, axis=0)[rank]
+
+
+def _strokes(edges: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """Of edges (h, w) bool those of a thin stroke, whose other side has the opposite gradient: letters and scales that
+    are drawn into images. They bound nothing; the sky between them would be the inside of a platform."""
+    x, y = (np.where(edges, gradient, 0) for gradient in _gradient(picture))
+    around = 4.0  # px within which both sides of a stroke lie
+    return edges & (np.hypot(_blur(x, around), _blur(y, around)) < 0.4 * _blur(np.hypot(x, y), around))
+
+
+def _median(frames: Sequence[np.ndarray]) -> np.ndarray:
+    return np.median(frames, axis=0).astype(np.float32)
+
+
+def _gradient(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=3)
 
 
 def _long(edges: np.ndarray) -> np.ndarray:

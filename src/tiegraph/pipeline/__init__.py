@@ -49,7 +49,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 STAGES = (
     _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=12,
            tuned=("scene", "odometry")),
-    _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=12),
+    _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=13),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=8,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
