@@ -461,6 +461,8 @@ def test_wrong_options_name_the_page_that_lists_all(capsys, tmp_path):
     for verb, page in (("run", "--help-all"), ("dense", "--help-all"), ("compare", "--help")):
         assert main([verb, "--nonsense", "5"]) == 2
         assert f"(`tiegraph {verb} {page}` lists all options)" in capsys.readouterr().err
+    assert main(["run", "images", "survey"]) == 2
+    assert "one argument too many, or the name of its option is missing: survey" in capsys.readouterr().err
     assert main(["dense", "--scan.crs", "auto", "--help"]) == 0  # of another stage, but help is asked for
 
 

@@ -30,11 +30,12 @@ class Talk:
 
 _FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
 _SHOWN = 300
-_PYDANTIC = (  # what it adds to a message that says enough
+_SAID = (  # what pydantic and tyro say, and what is shown
     (r" For further information visit \S+", ""),
     (r"Error parsing (?:settings\.)?([\w.]+): \d+ validation errors? for \w+ ", r"\1."),
     (r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r" (given: \1)"),
     (r"Value error, ", ""),
+    (r"Unrecognized options: (?=[^-])", "one argument too many, or the name of its option is missing: "),
 )
 
 
@@ -66,7 +67,7 @@ def _one_line(box: str) -> str:
         elif "─" in line:
             parts.append([])
     text = " ".join(parts[0])
-    for noise, rest in _PYDANTIC:
+    for noise, rest in _SAID:
         text = re.sub(noise, rest, text)
     near = parts[1] if len(parts) > 1 and parts[1][:1] == ["Perhaps you meant:"] else []
     near_text = f"; perhaps you meant {near[1].split()[0]}?" if len(near) > 1 else ""
