@@ -47,7 +47,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=12,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=13,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=13),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
@@ -77,7 +77,7 @@ STAGES = (
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"), version=11,
            scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
-    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=17, alone=True),
+    _stage("report", ("products", "evaluate"), ("report.html", "report.json"), version=18, alone=True),
 )
 # fmt: on
 

@@ -255,8 +255,8 @@ def _ranked(run: RunFolder) -> Iterator[tuple[int, str]]:
         if not {"key", "lost"} & set(receipt) and stage != "report":
             yield 0, t("The stage {} was interrupted; run the same command again to finish it.", stage)
     if dropped := len(dropped_images(run)):
-        one = "{} image file could not be used; the reasons are listed below."
-        yield 3, many(dropped, one, "{} image files could not be used; the reasons are listed below.", count(dropped))
+        one = "{} image file was not used; the reasons are listed below."
+        yield 3, many(dropped, one, "{} image files were not used; the reasons are listed below.", count(dropped))
     if run.scene is not None and run.model is not None:
         yield from _coverage_warnings(run)
     if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):

@@ -89,11 +89,9 @@ def usable_images(names: Sequence[str], probes: Sequence[Probe], report: Report)
         report.notes.append(f"{len(depths)} files are depth maps by their names, such as {min(depths)}: not used")
     twins = _twins(names, probes)
     for k, (name, probe) in enumerate(zip(names, probes)):
-        if name in masks:
-            report.drop([name], f"a mask of {masks[name]} by its name")
-        elif name in depths:
-            report.drop([name], "a depth map by its name, and deeper than 8 bits")
-        elif k in twins:
+        if name in masks or name in depths:  # no photographs: the notes say it
+            continue
+        if k in twins:
             report.drop([name], f"the same photograph as {names[twins[k]]} in another format")
         elif probe.reason:
             report.drop([name], probe.reason)
