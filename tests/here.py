@@ -11,12 +11,12 @@ import pytest
 
 from tiegraph.features import matchblocks
 from tiegraph.pipeline import georef
-from tiegraph.sfm import blockwise, mapper, mapping
+from tiegraph.sfm import mapper, mapping
 
 
 def patch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the stages match, sparse and georef call what they would run in children."""
-    for module in (matchblocks, blockwise, mapper, mapping, georef):
+    for module in (matchblocks, mapper, mapping, georef):
         monkeypatch.setattr(module, "run_in_child", here)
     monkeypatch.setattr(matchblocks, "run_in_children", _all_here)
 

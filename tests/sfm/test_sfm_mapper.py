@@ -364,7 +364,6 @@ def test_a_start_that_contradicts_pairs_is_kept_where_it_explains_more_than_a_ma
     monkeypatch.setattr(mapping, "_run", run)
     monkeypatch.setattr(mapping, "_mapped", lambda job, label: run(job, "global", label))
     monkeypatch.setattr(mapping, "with_others", lambda job, outcome: outcome)
-    monkeypatch.setattr(mapping, "in_one_piece", lambda scene, tuning: True)
     job = _job(scene)
     job = replace(job, source=replace(job.source, database=tmp_path / "database.db", preview=np.eye(4)))
     job = replace(job, graph=SimpleNamespace(components=[len(scene)]), shared=SimpleNamespace(blocks=None))

@@ -1,4 +1,4 @@
-"""A model from given poses: its rounds, path and gate; a large survey mapped in blocks."""
+"""A model from given poses: its rounds, path and gate; two surveys in one folder."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import BlocksTuning
-from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.run import (
@@ -393,17 +391,6 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world_blocks, tmp_path
         frames = copy.execute("SELECT COUNT(*) FROM frames").fetchone()[0]
         ids = {k for (k,) in copy.execute("SELECT image_id FROM images")}
     assert names == {scene.names[k] for k in some} and frames == 3 and ends == ids
-
-
-@pytest.mark.slow
-def test_blocks_make_one_model(world_blocks, tmp_path: Path) -> None:
-    true, scene = world_blocks
-    shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18, unplaced=1))
-    result = run_sparse(tmp_path, scene, shared=shared, covariance_frames=0)
-    assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
-    assert any("mapped in 2 blocks" in n and "1 of 1 joins" in n for n in result.remarks.notes)
-    assert_reconstruction_near(result.load(), scene, true, m=0.006, deg=0.05)
-    assert not (tmp_path / "sparse" / ".run").exists()
 
 
 def _cut(folder: Path, scene: Scene, frame: int) -> None:

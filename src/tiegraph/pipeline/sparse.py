@@ -39,7 +39,6 @@ def sparse(run: Run) -> Outcome:
         run.path("images"),
         apart=apart,
         preview=trusted_poses(run.folder),
-        run_map=run.map,
         on_progress=progress,
     )
     try:

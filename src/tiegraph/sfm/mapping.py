@@ -12,12 +12,10 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError
-from tiegraph.scene.blocks import in_one_piece
 from tiegraph.scene.colmapmodel import image_poses, observations, read_model
 from tiegraph.scene.rig import calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.model import Findings, frame_poses
 from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
@@ -49,7 +47,6 @@ class Source:
     apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``mapper``)
     unsupported: tuple[int, ...] = ()  # keys of sensors whose pairs are refused: the rig places them as given
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in an accepted rough model
-    run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images
 
 
@@ -134,13 +131,11 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 def map_images(job: Job, label: str = "") -> Outcome:
     """Start from the coarse model unless a certain mapper is requested. Without a coarse model, or if the result
-    fails the acceptance test, run a mapper; a large survey is mapped in blocks. Where repeats are among the verified
-    pairs, any right model contradicts them: of a start that fails for that and the mapper's model the one that
-    explains more matches is kept.
+    fails the acceptance test, run a mapper. Where repeats are among the verified pairs, any right model contradicts
+    them: of a start that fails for that and the mapper's model the one that explains more matches is kept.
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
-    whole = in_one_piece(job.scene, job.shared.blocks)
     asked, notes, doubted = job.settings.mapper == "auto" and not label, job.account.notes, None
     if asked and job.source.preview is not None:
         outcome = doubted = _run(job, "preview", label)
@@ -150,25 +145,10 @@ def map_images(job: Job, label: str = "") -> Outcome:
             f"the model could not start from the coarse model: {outcome.refused}; the images were mapped without "
             "initial poses"
         )
-    if asked and not whole and not job.source.rough:
-        request = _request(job, choose_mapper(job))
-        cam_from_world, said = poses_by_blocks(request, job.graph, job.shared, job.log, job.source.run_map)
-        notes.append(said)
-        outcome = _run(_starting_at(job, cam_from_world), "preview", "from blocks")
-        if not outcome.refused and outcome.folders:
-            return with_others(job, outcome)
-        notes.append(
-            f"the blocks could not be joined to one model: {outcome.refused}; the survey was mapped as a whole"
-        )
     outcome = _as_long_as_its_rig(job, _mapped(job, label))
     if doubted is not None and doubted.folders:
         outcome = _clearer(job, outcome, doubted)
     return outcome if label else with_others(job, outcome)  # a step of several: its caller looks at the rest
-
-
-def _starting_at(job: Job, poses: np.ndarray) -> Job:
-    """The same job, starting from these poses (N, 4, 4)."""
-    return replace(job, source=replace(job.source, preview=poses))
 
 
 def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
@@ -186,7 +166,8 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     most = tuning.start.scale.near
     if length is None or not np.isfinite(length[0]) or 1 / most < length[0] < most:
         return outcome
-    again = _run(_starting_at(job, poses), "preview", "with the path scaled to the rig")
+    job_from_poses = replace(job, source=replace(job.source, preview=poses))
+    again = _run(job_from_poses, "preview", "with the path scaled to the rig")
     fewer = again.registered < tuning.mapping.clearly_fewer * outcome.registered
     if fewer or (again.refused and again.registered <= outcome.registered):
         job.account.notes.append(
