@@ -20,7 +20,7 @@ from tiegraph.errors import ChildDied, ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
-from tiegraph.scene.colmapmodel import image_poses
+from tiegraph.scene.colmapmodel import image_poses, model_rigs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
@@ -29,7 +29,7 @@ from tiegraph.sfm.mapper import SparseResult
 from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import held_out_frames
 from tiegraph.sfm.registrationreport import ran_off
-from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
+from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import FixTuning
@@ -56,13 +56,11 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     assert seen[0] == (0, len(scene)) and 0.5 * len(scene) <= seen[-1][0] <= len(scene)
     scale = umeyama(frame_centres(result.load(), scene), frame_centres(truth, scene)).scale
     assert scale == pytest.approx(1, abs=0.01)  # the baselines, 0.5 m at 3-5 m, hold it
-    extrinsics = model_extrinsics(result.load(), scene, 0)
-    for sensor, pose in zip(scene.rigs[0].sensors, extrinsics):
-        np.testing.assert_allclose(pose, sensor.sensor_from_rig, atol=1e-9)
+    for sensor, found in zip(scene.rigs[0].sensors, model_rigs(result.load(), scene)[0].sensors):
+        np.testing.assert_allclose(found.sensor_from_rig, sensor.sensor_from_rig, atol=1e-9)
     assert 0 < _centre_error(result, scene, truth) < 0.02
     assert result.sigma is not None and 1e-5 < result.sigma.median < 0.02
     assert sorted(p.name for p in (tmp_path / "sparse").iterdir()) == ["0"]
-    assert [row[1:3] for row in result.tables["registered_per_camera"]["rows"]] == [[8, 8]] * 3
 
 
 @pytest.mark.slow
@@ -74,8 +72,7 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
     result = _run(tmp_path, scene, mapper="incremental", covariance_frames=0)
     assert result.counts["registered"] == len(scene) - 1 and result.counts["placed_by_rig"] == 1
     assert result.remarks.dropped == [] and any("1 images see fewer than 10 points" in n for n in result.remarks.notes)
-    rows = {row[0]: row[1:] for row in result.tables["registered_per_camera"]["rows"]}
-    assert rows[scene.sensor_of(blind).name] == [8, 7, 1] and sorted(rows.values())[1:] == [[8, 8, 0]] * 2
+    assert np.flatnonzero(result.models[0].found.by_rig).tolist() == [blind]
     assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
 
 
@@ -121,7 +118,7 @@ def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
     unknown = without_extrinsics(scene)
     result = _run(tmp_path, unknown)
     assert result.rig == "derived" and result.mapper == "global"
-    extrinsics = model_extrinsics(result.load(), result.scene, 0)
+    extrinsics = [s.sensor_from_rig for s in model_rigs(result.load(), result.scene)[0].sensors]
     for sensor, pose in zip(scene.rigs[0].sensors[1:], extrinsics[1:]):
         assert pose is not None
         assert 0 < transforms.angle_deg(pose[:3, :3], sensor.sensor_from_rig[:3, :3]) < 0.5

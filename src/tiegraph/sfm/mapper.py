@@ -30,10 +30,9 @@ from tiegraph.sfm.mapping import (
     share_of_matches,
     with_others,
 )
-from tiegraph.sfm.model import Findings, registration_tables
+from tiegraph.sfm.model import Findings
 from tiegraph.sfm.registrationreport import (
     camera_notes,
-    camera_table,
     few_points,
     models_table,
     no_base,
@@ -43,7 +42,7 @@ from tiegraph.sfm.registrationreport import (
     unregistered,
     weakly_constrained,
 )
-from tiegraph.sfm.rig.rig import derive_rig, rig_modes, rig_table, ties_of, unsupported_sensors
+from tiegraph.sfm.rig.rig import derive_rig, rig_modes, ties_of, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
@@ -281,9 +280,6 @@ def _account(job: Job, outcome: Outcome, finished: FinishResult) -> SparseResult
         tables={
             "models": models_table(models),
             "runs": {"columns": RUN_COLUMNS, "rows": job.account.runs},
-            **registration_tables(scene, first.found),
-            "cameras": camera_table(main, scene),
-            "rig": rig_table(scene, main),
             **finished.tables,
             **job.account.tables,
         },

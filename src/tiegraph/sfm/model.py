@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.world import FixTuning
@@ -88,26 +87,3 @@ def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:
     order = has[np.lexsort((scene.sequence_index[has], scene.sequence[has]))]
     out[order[tuning.held_out_every // 2 :: tuning.held_out_every]] = True
     return out
-
-
-def registration_tables(scene: Scene, found: Registration) -> dict[str, dict]:
-    """Tables of images, registered images and images placed by the rig only, per camera, pass and section."""
-    labels = scene.image_label()
-    sections = scene.section[scene.frame]
-    groups = {
-        "camera": [camera for _, camera in labels],
-        "pass": [track for track, _ in labels],
-        "section": [str(s) if s >= 0 else "" for s in sections],
-    }
-    tables = {}
-    for name, values in groups.items():
-        column = np.array(values)
-        rows = []
-        for value in sorted(set(values)):
-            of = column == value
-            rows.append([value or "-", int(of.sum()), int(found.registered[of].sum()), int(found.by_rig[of].sum())])
-        tables[f"registered_per_{name}"] = {
-            "columns": [name, "images", "registered", BY_RIG],
-            "rows": rows,
-        }
-    return tables

@@ -211,19 +211,6 @@ def models_table(models: Sequence[Any]) -> dict:
     return {"columns": columns, "rows": rows}
 
 
-def camera_table(reconstruction: pycolmap.Reconstruction, scene: Scene) -> dict:
-    """Table of the cameras: focal length before and after, distortion."""
-    sensors = dict(enumerate(scene.all_sensors, start=1))
-    rows = []
-    for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
-        camera, sensor = reconstruction.camera(camera_id), sensors.get(camera_id)
-        given = None if sensor is None or sensor.camera is None else round(sensor.camera.mean_focal_length(), 2)
-        extra = " ".join(f"{float(f'{camera.params[i]:.5g}'):g}" for i in camera.extra_params_idxs())
-        name = str(camera_id) if sensor is None else sensor.name
-        rows.append([name, camera.model.name, given, round(camera.mean_focal_length(), 2), extra])
-    return {"columns": ["camera", "model", "focal px given", "focal px adjusted", "distortion"], "rows": rows}
-
-
 def ran_off(model: pycolmap.Reconstruction, scene: Scene, most: float) -> str | None:
     """A text on the first camera whose focal length is more than ``most`` times longer or shorter than the given one;
     None if there is none."""

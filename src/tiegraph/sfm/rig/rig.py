@@ -10,7 +10,7 @@ import pycolmap
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import l1_mean_rotation
-from tiegraph.scene.colmapmodel import image_poses, matrix, rigid3d, sensor_id
+from tiegraph.scene.colmapmodel import image_poses, rigid3d, sensor_id
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -149,41 +149,6 @@ def _average(stack: np.ndarray, outlier_deg: float) -> tuple[np.ndarray, _Scatte
     translation = np.median(stack[close if close.any() else slice(None), :3, 3], axis=0)
     scatter = _Scatter(len(stack), float(np.median(angles)), float(np.mean(~close)))
     return transforms.rigid(rotation, translation), scatter
-
-
-def model_extrinsics(model: pycolmap.Reconstruction, scene: Scene, index: int) -> list[np.ndarray | None]:
-    """sensor_from_rig (4, 4) of each sensor of rig ``index`` as the model has it; None = not in the model's rig.
-
-    Re-expressed to the scene's rig frame where the model had to take another sensor as reference.
-    """
-    sensors, first = scene.rigs[index].sensors, scene.first_sensor(index)
-    out: list[np.ndarray | None] = [None] * len(sensors)
-    row = model.rigs[index + 1] if index + 1 in model.rigs else None
-    if row is None or row.num_sensors() < 2:
-        return out
-    reference = row.ref_sensor_id.id - 1 - first
-    given = sensors[reference].sensor_from_rig if reference else None
-    out[reference] = back = np.eye(4) if given is None else given
-    for sensor, pose in row.non_ref_sensors.items():
-        out[sensor.id - 1 - first] = None if pose is None else matrix(pose) @ back
-    return out
-
-
-def rig_table(scene: Scene, model: pycolmap.Reconstruction) -> dict:
-    """Table of each sensor's rotation and shift relative to the given rig; empty rows without a given rig."""
-    rows = []
-    for index, rig in enumerate(scene.rigs):
-        for sensor, adjusted in zip(rig.sensors[1:], model_extrinsics(model, scene, index)[1:]):
-            if adjusted is None:
-                continue
-            turn = shift = None
-            if sensor.sensor_from_rig is not None:
-                turn = round(float(transforms.angle_deg(adjusted[:3, :3], sensor.sensor_from_rig[:3, :3])), 3)
-                moved = transforms.centre(adjusted) - transforms.centre(sensor.sensor_from_rig)
-                shift = round(float(np.linalg.norm(moved)), 4)
-            baseline = round(float(np.linalg.norm(transforms.centre(adjusted))), 4)
-            rows.append([rig.name, sensor.name, turn, shift, baseline])
-    return {"columns": ["rig", "camera", "turned deg", "moved", "baseline"], "rows": rows}
 
 
 def unsupported_sensors(
