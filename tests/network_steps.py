@@ -70,9 +70,9 @@ class Steps:
         return (*self.candidates.notes, *self.coarse.notes, *self.network.notes)
 
     def pictures(self) -> list[tuple[str, bytes]]:
-        """Of all three."""
+        """Of the last."""
         model = self.coarse.model
-        return self.network.plots(None if model is None else model.cam_from_world) + self.candidates.pictures()
+        return self.network.plots(None if model is None else model.cam_from_world)
 
 
 def estimate_network(

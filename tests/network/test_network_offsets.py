@@ -1,7 +1,5 @@
 """Offset voting on a boat survey with exact overlap; the lattice of previews and long passes along repeating walls."""
 
-import csv
-import io
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,7 @@ from tiegraph.network.axes import (
     yaw,
     yaw_between,
 )
-from tiegraph.network.offsets import OFFSETS, curves_csv, estimate_offsets
+from tiegraph.network.offsets import OFFSETS, estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.network.retrieval import Look, Timeline, seen_by_the_rig, unrelated
 from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, corridor, noise_floor_within, score_matrix
@@ -71,26 +69,19 @@ def test_constant_offsets_stay_in_their_range() -> None:
     world = boat((20, 20), (1.5, 1.5))
     settings = CandidatesSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=2)
     network = network_of(world.scene, world.match, settings)
-    best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.candidates.curves if c.accepted}
-    kept = network.pairs.kept()
-    label = world.scene.image_label()
-    step = world.step
+    kept, step = network.pairs.kept(), world.step
+    label = np.array(world.scene.image_label())
     assert len(kept)
+    offsets: dict[tuple[str, ...], list[int]] = {}
     for i, j in zip(kept.i, kept.j):
-        if (label[i][0], label[j][0], label[i][1], label[j][1]) not in best:
+        if tuple(label[i]) > tuple(label[j]):
             i, j = j, i
-        curve = best[label[i][0], label[j][0], label[i][1], label[j][1]]
-        offset = step[j] + step[i] if curve.reversed else step[j] - step[i]
-        assert abs(offset - curve.best) <= 2
-    assert {c.reversed for c in network.candidates.curves if c.pass_a != c.pass_b} == {True}
-    rows = list(csv.DictReader(io.StringIO(curves_csv(network.candidates.curves))))
-    assert len(rows) == sum(len(c.offsets) for c in network.candidates.curves)
-    for (pass_a, pass_b, sensor_a, sensor_b), curve in best.items():
-        ends = {"pass1": pass_a, "camera1": sensor_a, "pass2": pass_b, "camera2": sensor_b}
-        own = [r for r in rows if ends.items() <= r.items()]
-        assert {r["accepted"] for r in own} == {"1"} and {r["direction"] for r in own} <= {"back", "same"}
-        assert [int(r["offset"]) for r in own if r["best"] == "1"] == [curve.best]
-        assert [float(r["votes"]) for r in own] == pytest.approx(curve.votes.tolist(), rel=1e-5)
+        back = label[i][0] != label[j][0]  # the other pass runs the other way
+        offsets.setdefault((*label[i], *label[j]), []).append(int(step[j] + step[i] if back else step[j] - step[i]))
+    assert {passes[0] != passes[2] for passes in offsets} == {True, False}
+    for key, found in offsets.items():
+        one_camera = key[:2] == key[2:]  # its pairs have no order
+        assert np.ptp(np.abs(found) if one_camera else found) <= 4
 
 
 @pytest.mark.slow

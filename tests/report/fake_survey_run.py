@@ -41,8 +41,7 @@ def make_run(folder: Path, until: str = "evaluate", seed: int = 0) -> Path:
     if "network" in stages:
         np.savez(folder / "network.npz", **network.to_npz())
         (folder / "network").mkdir(exist_ok=True)
-        for name in ("map", "curves"):
-            cv2.imwrite(str(folder / "network" / f"{name}.png"), rng.integers(0, 255, (120, 300, 3), np.uint8))
+        cv2.imwrite(str(folder / "network" / "map.png"), rng.integers(0, 255, (120, 300, 3), np.uint8))
     design = network.drop(network.score < 40, "cut")
     if "design" in stages:
         np.savez(folder / "pairs.npz", **design.to_npz())

@@ -195,7 +195,7 @@ def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
         cv2.imwrite(str(run / "network" / f"{name}.png"), np.zeros((40, 60, 3), np.uint8))
     part = network_part(read_run(run))
     assert part["model"] == ["Coarse model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
-    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "Frame-offset", "View"]
+    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "View"]
     assert [t.rows[0][1] for t in part["links"]] == ["up/cam0/000003.jpg"] and part["sound"] is None
     assert "Weak links: places where" in write_report(run, SMALL).read_text(encoding="utf-8")
     tell(run, "design", tables={"weak links": {"columns": ["kind"], "rows": []}})

@@ -22,7 +22,6 @@ from tiegraph.network.passes import (
     Context,
     Descriptors,
     MatchCache,
-    OffsetCurve,
     Pass,
     Proposal,
     find_passes,
@@ -48,15 +47,6 @@ class Candidates:
     scene: Scene
     notes: tuple[str, ...]
     ties: PreviewMatches  # of everything that was previewed
-    curves: tuple[OffsetCurve, ...]
-
-    def pictures(self) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the offset curves, if offsets were computed."""
-        if not self.curves:
-            return []
-        from tiegraph.network.plots import curves_png  # loads matplotlib
-
-        return [("offsets", curves_png(self.curves))]
 
 
 def find_candidates(
@@ -87,7 +77,6 @@ def find_candidates(
         scene=scene,
         notes=notes + found.notes,
         ties=cache.matches(),
-        curves=found.curves,
     )
 
 

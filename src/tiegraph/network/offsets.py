@@ -10,7 +10,7 @@ not get here: scan leaves them out. Others are recognised by their previews: not
 feature is found again.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import or_
@@ -21,7 +21,7 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network import axes
 from tiegraph.network.axes import allowed_within, angles_deg
-from tiegraph.network.passes import Context, MatchCache, OffsetCurve, Pass, Proposal
+from tiegraph.network.passes import Context, MatchCache, Pass, Proposal
 from tiegraph.network.scorematrix import (
     NoiseFloor,
     ScoreMatrix,
@@ -36,7 +36,6 @@ from tiegraph.network.tuning import CountsTuning, RigTuning, Tuning
 from tiegraph.scene.graph import best_line
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import evenly
-from tiegraph.text import csv_text
 
 Estimate = Callable[[Pass, Pass, MatchCache, CandidatesSettings, Tuning], Proposal]
 OFFSETS: dict[str, Estimate] = {}
@@ -45,11 +44,10 @@ OFFSETS: dict[str, Estimate] = {}
 
 @dataclass(frozen=True)
 class _Survey:
-    """One finished score matrix: smoothed counts, direction, path."""
+    """One finished score matrix: smoothed counts, path."""
 
     scores: ScoreMatrix
     smooth: np.ndarray
-    reversed: bool
     path: np.ndarray | None  # (A,) column node of each row; evidence far from it does not count
     reach: int  # nodes from the path within which evidence counts
     notes: tuple[str, ...]  # the budget of previews was spent before every tie was followed
@@ -132,10 +130,10 @@ def _survey(context: Context, couple: tuple[Pass, Pass], grid: tuple[int, int], 
     cache, least, tuning = context.cache, context.settings.min_matches, context.tuning
     reach = window + kernel_reach(tuning)
     if p is q:
-        scores, backwards = _seed_same(context, p, stride), False
+        scores = _seed_same(context, p, stride)
         path = np.arange(len(scores.rows), dtype=float)
     else:
-        scores, backwards, path = _seed_across(context, couple, stride, budget)
+        scores, path = _seed_across(context, couple, stride, budget)
     path = path if min(len(p), len(q)) >= tuning.offsets.long_frames else None
     beside = _beside(scores, path, reach)
     smooth = scores.smoothed(least, tuning)
@@ -148,7 +146,7 @@ def _survey(context: Context, couple: tuple[Pass, Pass], grid: tuple[int, int], 
             notes = (f"{p.name} - {q.name}: the budget of previews was spent before every tie was followed",)
             break
         touched = scores.smooth_again(smooth, scores.measure(frontier, cache), least, tuning)
-    return _Survey(scores=scores, smooth=smooth, reversed=backwards, path=path, reach=reach, notes=notes)
+    return _Survey(scores=scores, smooth=smooth, path=path, reach=reach, notes=notes)
 
 
 def _beside(scores: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
@@ -174,7 +172,7 @@ def _seed_same(context: Context, p: Pass, stride: int) -> ScoreMatrix:
 
 def _seed_across(
     context: Context, couple: tuple[Pass, Pass], stride: int, budget: int
-) -> tuple[ScoreMatrix, bool, np.ndarray | None]:
+) -> tuple[ScoreMatrix, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     cache, settings, tuning = context.cache, context.settings, context.tuning
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
@@ -192,13 +190,12 @@ def _seed_across(
         beside = _beside(scores, centre, offsets.window_nodes + kernel_reach(tuning))
         scores = replace(scores, noise_floor=noise_floor_away(scores, beside, least, tuning))
     excess = axes.above(scores.smoothed(least, tuning), least) * beside
-    backwards, _ = axes.direction(scores, excess, tuning.rig.common_view)
     scores = replace(scores, allowed=facing(scores, excess, settings, tuning.rig))
     centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
-        return scores, backwards, None
+        return scores, None
     near = np.isin(a, evenly(len(scores.rows), settings.sample_frames)) & _beside(scores, centre, offsets.window_nodes)
-    return scores.measured(np.nonzero(np.broadcast_to(near, scores.inliers.shape)), cache), backwards, centre
+    return scores.measured(np.nonzero(np.broadcast_to(near, scores.inliers.shape)), cache), centre
 
 
 def _minimum_cost_path(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
@@ -255,9 +252,8 @@ def _local(survey: _Survey, least: int, tuning: Tuning) -> Proposal:
     nodes = np.nonzero(seen)  # of two long passes a small part: arrays of all nodes took 2 GiB each
     code = np.where(strong[nodes], 0, reason[nodes[:2]])
     measured = Pairs.make(*scores.images(seen), "offsets", score=scores.inliers[nodes], dropped=code)
-    curves = curves_of(scores, survey.reversed, voted, least, counts)
     note, stranger = _said(scores, smooth, least, tuning.rig)
-    return Proposal(pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), stranger=stranger)
+    return Proposal(pairs=measured | kept, notes=(*survey.notes, *note), stranger=stranger)
 
 
 def _said(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
@@ -323,68 +319,3 @@ def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
     return angles_deg(scores.p.rig, yaw) <= settings.axes_deg
-
-
-def curves_of(
-    scores: ScoreMatrix,
-    backwards: bool,
-    accepted: np.ndarray,
-    min_matches: int,
-    tuning: CountsTuning,
-    best: np.ndarray | None = None,
-) -> tuple[OffsetCurve, ...]:
-    """One curve for each camera pair; ``best`` (S, T) is the voted offset, if there is one."""
-    p, q = scores.p, scores.q
-    out = []
-    for c, d in np.argwhere(scores.allowed):
-        if scores.same and c >= d:
-            continue
-        offsets, votes = votes_of(scores, (int(c), int(d)), backwards, min_matches, tuning)
-        if not len(offsets):
-            continue
-        winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
-        curve = OffsetCurve(
-            pass_a=p.name,
-            pass_b=q.name,
-            sensor_a=p.rig.sensors[c].name,
-            sensor_b=q.rig.sensors[d].name,
-            offsets=offsets,
-            votes=votes,
-            best=winner,
-            accepted=bool(accepted[c, d]),
-            reversed=backwards,
-        )
-        out.append(curve)
-    return tuple(out)
-
-
-def votes_of(
-    scores: ScoreMatrix,
-    cameras: tuple[int, int],
-    backwards: bool,
-    min_matches: int,
-    tuning: CountsTuning,
-    total: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (K,) and matches above chance at each, mean over the previewed frames (or their sum)."""
-    inliers = scores.inliers[cameras]
-    m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
-    offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
-    value = np.maximum(0, inliers[np.isfinite(inliers)] - tuning.floor * min_matches)
-    offsets, at = np.unique(offset, return_inverse=True)
-    votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
-    if not total:
-        votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
-    return offsets.astype(np.int32), votes.astype(np.float32)
-
-
-def curves_csv(curves: Iterable[OffsetCurve]) -> str:
-    """CSV of the curves, one row for each offset of two cameras."""
-    heads = ["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"]
-    rows = (
-        [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same", offset, f"{votes:.6g}",
-         int(offset == c.best), int(c.accepted)]
-        for c in curves
-        for offset, votes in zip(c.offsets, c.votes)
-    )  # fmt: skip
-    return csv_text(heads, rows)

@@ -149,31 +149,11 @@ class Context:
 
 
 @dataclass(frozen=True)
-class OffsetCurve:
-    """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
-
-    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether
-    the camera pair gave candidates.
-    """
-
-    pass_a: str
-    pass_b: str
-    sensor_a: str
-    sensor_b: str
-    offsets: np.ndarray
-    votes: np.ndarray
-    best: int
-    accepted: bool
-    reversed: bool
-
-
-@dataclass(frozen=True)
 class Proposal:
     """The pairs that a source proposes, and notes."""
 
     pairs: Pairs
     notes: tuple[str, ...] = ()
-    curves: tuple[OffsetCurve, ...] = ()
     apart: bool = False  # according to the images the poses of different passes are not in one world
     stranger: str = ""  # the pair of passes, if it has no common view
 
@@ -181,6 +161,5 @@ class Proposal:
         return Proposal(
             pairs=self.pairs | other.pairs,
             notes=self.notes + other.notes,
-            curves=self.curves + other.curves,
             apart=self.apart or other.apart,
         )

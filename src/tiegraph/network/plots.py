@@ -1,80 +1,312 @@
-"""Pictures of the network as PNG: offset curves, sections and the cues of the up camera along the passes, and the map.
-The report draws the correspondence matrix (report/network.py)."""
+"""Pictures of the network as PNG: the tie graph on the map, frames at their positions, ties by kind, weak links in red;
+and the sections with the cues of the up camera along the passes. The report draws the matrix of the pairs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogFormatter, MaxNLocator
+from matplotlib.ticker import LogFormatter
 
-from tiegraph.network.map import BLUE, DPI, INK, RED, map_png, weak_pairs
-from tiegraph.network.offsets import OffsetCurve
 from tiegraph.network.sections import Cue, Section
+from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import png
-from tiegraph.scene.scene import Scene
+from tiegraph.scene.scene import Scene, between_neighbours
+from tiegraph.text import round_below
 
-__all__ = ["curves_png", "map_png", "sections_png", "weak_pairs"]
-MAX_PANELS = 60
+DPI = 110
+BLUE, RED, INK = "#1b6ca8", "#c0392b", "#444444"
+
+
+def grouped(number: float) -> str:
+    """A whole number with spaces between thousands."""
+    return f"{round(number):,}".replace(",", " ")
+
+
+MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
+MAX_LINES = 2500  # the strongest of each kind
+_BULGE = 0.28  # height of a short arc, as a share of its chord
+_HIGHEST = 0.11  # height of the longest arc, as a share of the map's longer side
+_ARC = np.linspace(0, 1, 13)
+_PAGE_IN, _HEAD_IN = 12.0, 0.75
+KINDS = {"same camera": "#0072b2", "across cameras": "#009e73", "across passes": "#d55e00", "photographs": "#0072b2"}
+_PASSES = ("#222222", "#cc79a7", "#7a5c99", "#8a6d1f", "#56b4e9", "#8b949e")
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Frames joined to M nodes: node of each frame (F,) (-1 = not drawn), place (M, 2), pass (M,), frames of a node."""
+
+    of_frame: np.ndarray
+    place: np.ndarray
+    sequence: np.ndarray
+    frames: int
+
+
+@dataclass(frozen=True)
+class _Ties:
+    """Ties of one kind: nodes a, b (K,), pairs of images (K,)."""
+
+    a: np.ndarray
+    b: np.ndarray
+    count: np.ndarray
+    pairs: int
+
+
+def map_png(
+    pairs: Pairs,
+    positions: np.ndarray | None,
+    scene: Scene,
+    weak: np.ndarray | Sequence[tuple[int, int]] | None = None,
+    unit: str = "m",
+) -> bytes:
+    """Map of the kept pairs, one panel for each kind of tie: same camera, across cameras, across passes.
+
+    ``positions`` (F, 2 or 3) of the frames, x to the right and y up, NaN = unknown (then between its neighbours on
+    the pass); None or all NaN: a layout by sequence or on a circle, as the picture states. ``weak`` (K, 2): image pairs
+    to be drawn in red. ``unit`` of the positions.
+    """
+    kept = pairs.kept()
+    if np.any(pairs.inliers >= 0):
+        kept = kept.where(kept.inliers > 0)
+    place, said = _layout(positions, scene)
+    nodes = _joined(place, scene)
+    links = np.zeros((0, 2), int) if weak is None else np.asarray(weak, int).reshape(-1, 2)
+    ties = {k: tie for k in KINDS if (tie := _aggregated(kept, scene, nodes, k)).pairs} or {
+        "same camera": _aggregated(kept, scene, nodes, "same camera")
+    }
+    page = _Page.make(nodes, len(ties))
+    for n, (kind, tie) in enumerate(ties.items()):
+        axes = page.panel(n)
+        _lines(axes, nodes, tie, kind)
+        _dots(axes, scene, nodes, kept)
+        _names(axes, scene, nodes, named=n == 0)
+        _weak(axes, nodes, scene.frame[links[_of_kind(scene, links) == kind]].reshape(-1, 2))
+        axes.set_title(f"{kind}: {grouped(tie.pairs)} pairs", fontsize=10, loc="left", color=KINDS[kind], pad=3)
+        if n == 0 and not said:
+            _scale_bar(axes, unit)
+    page.words(*_words(kept, scene, nodes, links, ties), said)
+    return png(page.figure)
+
+
+def weak_pairs(table: dict, scene: Scene) -> np.ndarray:
+    """(K, 2) images of the rows of a weak-links table ("columns", "rows") that name a pair as "first - second"."""
+    found = []
+    for row in table.get("rows") or []:
+        ends = [scene.image_index.get(name) for name in str(row[1]).split(" - ")] if len(row) > 1 else []
+        if len(ends) == 2 and None not in ends:
+            found.append(ends)
+    return np.array(found, int).reshape(-1, 2)
+
+
+# ---------------------------------------------------------------- places
+
+
+def _layout(positions: np.ndarray | None, scene: Scene) -> tuple[np.ndarray, str]:
+    """(F, 2) places of the frames, and a remark on them."""
+    if positions is not None and np.isfinite(np.asarray(positions, float)[:, :2]).all(axis=1).any():
+        return between_neighbours(np.asarray(positions, float)[:, :2], scene), ""
+    if (scene.sequence >= 0).any():
+        lane = np.where(scene.sequence >= 0, scene.sequence, scene.sequence.max() + 1)
+        rank = np.zeros(scene.frames)
+        for t in np.unique(lane):
+            own = scene.in_order(lane == t)
+            rank[own] = np.arange(len(own))
+        gap = 0.25 * max(1.0, float(rank.max()))
+        said = "frames are drawn in the order of their passes, one row for each pass"
+        return np.stack([rank, -gap * lane], axis=1), f"no positions: {said}; lengths have no meaning"
+    angle = 2 * np.pi * np.arange(scene.frames) / max(scene.frames, 1)
+    said = "photographs are drawn on a circle"
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1), f"no positions: {said}; lengths have no meaning"
+
+
+def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
+    known = np.isfinite(place).all(axis=1)
+    step = max(1, -(-int(known.sum()) // MAX_NODES))
+    of_frame = np.full(scene.frames, -1)
+    places: list[np.ndarray] = []
+    tracks: list[int] = []
+    for t in np.unique(scene.sequence):
+        own = scene.in_order((scene.sequence == t) & known)
+        width = step if t >= 0 else 1
+        for first in range(0, len(own), width):
+            run = own[first : first + width]
+            of_frame[run] = len(places)
+            places.append(place[run].mean(axis=0))
+            tracks.append(int(t))
+    place = np.array(places).reshape(-1, 2)
+    return _Nodes(of_frame=of_frame, place=place, sequence=np.array(tracks, int), frames=step)
+
+
+def _of_kind(scene: Scene, links: np.ndarray) -> np.ndarray:
+    """(K,) kind of image pairs (K, 2)."""
+    frames, keys = scene.frame[links], scene.sensor_key[links]
+    across = scene.sequence[frames[:, 0]] != scene.sequence[frames[:, 1]]
+    loose = (scene.sequence[frames] < 0).all(axis=1)
+    same = (keys[:, 0] == keys[:, 1]) & ~loose
+    inside = frames[:, 0] == frames[:, 1]
+    names = np.where(across, "across passes", np.where(same, "same camera", "across cameras"))
+    return np.where(inside, "within a frame", np.where(loose, "photographs", names))
+
+
+def _aggregated(kept: Pairs, scene: Scene, nodes: _Nodes, kind: str) -> _Ties:
+    fi, fj = scene.frame[kept.i], scene.frame[kept.j]
+    of_kind = _of_kind(scene, np.stack([kept.i, kept.j], axis=1)) == kind
+    a, b = np.minimum(nodes.of_frame[fi], nodes.of_frame[fj]), np.maximum(nodes.of_frame[fi], nodes.of_frame[fj])
+    rows = np.flatnonzero(of_kind & (a >= 0) & (a != b))
+    key, count = np.unique(a[rows].astype(np.int64) * len(nodes.place) + b[rows], return_counts=True)
+    best = np.sort(np.argsort(-count, kind="stable")[:MAX_LINES])
+    width = max(len(nodes.place), 1)
+    return _Ties(a=key[best] // width, b=key[best] % width, count=count[best], pairs=int(of_kind.sum()))
+
+
+# ---------------------------------------------------------------- drawing
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Panels below each other where the map is wide, side by side where it is tall; all sizes in inches."""
+
+    figure: Figure
+    low: np.ndarray
+    high: np.ndarray
+    width: float
+    height: float
+    across: bool
+
+    @staticmethod
+    def make(nodes: _Nodes, count: int) -> "_Page":
+        place = nodes.place if len(nodes.place) else np.zeros((1, 2))
+        low, high = place.min(axis=0), place.max(axis=0)
+        room = (0.04 + _HIGHEST) * max(float((high - low).max()), 1e-9)
+        low, high = low - room, high + room
+        shape = float((high - low)[1] / (high - low)[0])
+        across = shape > 0.55
+        width = min(_PAGE_IN / count, 5.5) if across else _PAGE_IN
+        height = float(np.clip(shape * width, 1.8, 7.5))
+        size = (width, count * (height + 0.3) + _HEAD_IN + 0.3)
+        if across:
+            size = (max(width * count, 7.5), height + _HEAD_IN + 0.5)
+        figure = Figure(figsize=size, dpi=DPI)
+        return _Page(figure=figure, low=low, high=high, width=width, height=height, across=across)
+
+    def panel(self, n: int) -> Axes:
+        w, h = self.figure.get_size_inches()
+        left = n * self.width if self.across else 0.0
+        top = _HEAD_IN + 0.25 + (0 if self.across else n * (self.height + 0.3))
+        box = ((left + 0.08) / w, 1 - (top + self.height) / h, (self.width - 0.16) / w, self.height / h)
+        axes = self.figure.add_axes(box)
+        # The panel keeps its shape: the map is enlarged to it, so that lengths are equal in both directions.
+        span, middle = self.high - self.low, 0.5 * (self.low + self.high)
+        scale = max(span[0] / (self.width - 0.16), span[1] / self.height)
+        half = 0.5 * scale * np.array([self.width - 0.16, self.height])
+        axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
+        axes.set(xticks=[], yticks=[])
+        for spine in axes.spines.values():
+            spine.set_color("#dddddd")
+        return axes
+
+    def words(self, title: str, more: str, said: str) -> None:
+        h = float(self.figure.get_figheight())
+        left = 0.1 / float(self.figure.get_figwidth())
+        self.figure.text(left, 1 - 0.1 / h, title, fontsize=12, va="top")
+        self.figure.text(left, 1 - 0.34 / h, more, fontsize=8.5, va="top", color="#555555")
+        self.figure.text(left, 1 - 0.53 / h, said, fontsize=9, va="top", color=RED)
+
+
+def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str) -> None:
+    if not len(ties.a):
+        return
+    order = np.argsort(ties.count, kind="stable")
+    share = ties.count[order] / max(int(ties.count.max()), 1)
+    curves = _curves(nodes, ties.a[order], ties.b[order], 0.0 if kind in ("across passes", "photographs") else _BULGE)
+    # The more lines, the fainter each: the total ink stays about the same, and thick bundles stand out.
+    ink = np.clip(9 / np.sqrt(len(order)), 0.12, 0.85)
+    alpha = np.clip(ink * (0.12 + 0.88 * share**1.5), 0.04, 0.9)
+    look = {"color": KINDS[kind], "linewidths": 0.4 + 1.4 * share, "alpha": alpha, "zorder": 2}
+    axes.add_collection(LineCollection(list(curves), **look))
+
+
+def _curves(nodes: _Nodes, a: np.ndarray, b: np.ndarray, bulge: float) -> np.ndarray:
+    """(K, 13, 2) arcs from nodes a to nodes b, to the left for a positive bulge; straight for zero."""
+    start, end = nodes.place[a], nodes.place[b]
+    chord = end - start
+    length = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
+    highest = _HIGHEST * max(float(np.ptp(nodes.place, axis=0).max()), 1e-12)
+    height = highest * np.tanh(bulge * length / highest)  # long arcs do not leave the page
+    side = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / length * height
+    t = _ARC[None, :, None]
+    return start[:, None] + t * chord[:, None] + 4 * t * (1 - t) * side[:, None]
+
+
+def _dots(axes: Axes, scene: Scene, nodes: _Nodes, kept: Pairs) -> None:
+    degree = kept.degree(len(scene))
+    tied = np.zeros(len(nodes.place), bool)
+    drawn = nodes.of_frame[scene.frame] >= 0
+    np.logical_or.at(tied, nodes.of_frame[scene.frame[drawn]], degree[drawn] > 0)
+    size = float(np.clip(1200 / max(len(tied), 1), 5, 18))
+    for k, t in enumerate(np.unique(nodes.sequence)):
+        own = nodes.sequence == t
+        axes.plot(*nodes.place[own].T, color=INK, lw=0.6 if t >= 0 else 0, alpha=0.5, zorder=3)
+        colour = _PASSES[k % len(_PASSES)]
+        axes.scatter(*nodes.place[own & tied].T, s=size, color=colour, zorder=4, lw=0.3, edgecolor="white")
+        if (own & ~tied).any():
+            lonely = nodes.place[own & ~tied].T
+            axes.scatter(*lonely, s=3 * size, facecolor="white", edgecolor=RED, zorder=5, lw=1)
+
+
+def _names(axes: Axes, scene: Scene, nodes: _Nodes, named: bool) -> None:
+    tracks = [t for t in np.unique(nodes.sequence) if 0 <= t < len(scene.sequences)]
+    if not named or not 1 < len(tracks) <= 12:
+        return
+    left, low = nodes.place.min(axis=0)
+    span = np.maximum(np.ptp(nodes.place, axis=0), 1e-9)
+    for k, t in enumerate(tracks):
+        first = nodes.place[np.flatnonzero(nodes.sequence == t)[0]]
+        x, y = (first - (left, low)) / span
+        above = y > 0.5 or span[1] < 0.2 * span[0] and k % 2 == 0
+        away = (16 + 12 * (k // 2)) * (1 if above else -1)
+        axes.annotate(f"{scene.sequences[t]} starts", first, (0, away), textcoords="offset points",
+                      ha="left" if x < 0.34 else "right" if x > 0.66 else "center", va="bottom" if above else "top",
+                      fontsize=8.5, color=_PASSES[k % len(_PASSES)], zorder=7,
+                      arrowprops={"arrowstyle": "-", "color": INK, "lw": 0.5, "shrinkB": 3})  # fmt: skip
+
+
+def _weak(axes: Axes, nodes: _Nodes, frames: np.ndarray) -> None:
+    ends = nodes.of_frame[frames]
+    ends = ends[(ends >= 0).all(axis=1)]
+    if not len(ends):
+        return
+    axes.add_collection(LineCollection(list(nodes.place[ends]), color=RED, linewidths=2.2, alpha=0.9, zorder=6))
+    here = nodes.place[np.unique(ends)]
+    axes.scatter(here[:, 0], here[:, 1], s=40, facecolor="none", edgecolor=RED, lw=1.4, zorder=6)
+
+
+def _words(kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: dict[str, _Ties]) -> tuple[str, str]:
+    inside = int(np.sum(scene.frame[kept.i] == scene.frame[kept.j]))
+    lost = int(np.sum(nodes.of_frame < 0))
+    parts = [f"one dot = {nodes.frames} frames" if nodes.frames > 1 else "one dot = one frame"]
+    parts += [f"{grouped(inside)} pairs within a frame are not drawn"] if inside else []
+    parts += [f"{lost} frame{'s are' if lost > 1 else ' is'} left out, without a position"] if lost else []
+    if any(len(t.a) >= MAX_LINES for t in ties.values()):
+        parts.append(f"the {MAX_LINES} strongest lines of each kind")
+    parts += [f"red: {len(links)} weak links"] if len(links) else []
+    return f"The tie graph: {grouped(len(kept))} pairs of images, {grouped(scene.frames)} frames", "; ".join(parts)
+
+
+def _scale_bar(axes: Axes, unit: str) -> None:
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    length = round_below(0.2 * (right - left))
+    x, y = left + 0.03 * (right - left), low + 0.05 * (high - low)
+    axes.plot([x, x + length], [y, y], color=INK, lw=2.5, solid_capstyle="butt", zorder=8)
+    axes.text(x + length / 2, y + 0.012 * (high - low), f"{length:g} {unit}", ha="center", va="bottom", fontsize=9)
+
+
+# ---------------------------------------------------------------- sections
+
 _PANEL_IN = 2.2
-
-
-def curves_png(curves: Sequence[OffsetCurve]) -> bytes:
-    """Votes against frame offset, one panel for each camera pair (papers 000, 001)."""
-    curves = list(curves)
-    hidden = max(0, len(curves) - MAX_PANELS)
-    # Of too many curves, those with the most votes are shown.
-    by_votes = sorted(range(len(curves)), key=lambda k: -float(curves[k].votes.max(initial=0)))
-    curves = [curves[k] for k in sorted(by_votes[:MAX_PANELS])]
-    groups = list(dict.fromkeys((c.pass_a, c.pass_b) for c in curves))
-    members = {g: [c for c in curves if (c.pass_a, c.pass_b) == g] for g in groups}
-    columns = 6
-    lines = {g: -(-len(m) // columns) for g, m in members.items()}
-    heights = [x for g in groups for x in (0.42, *([1.25] * lines[g]))]
-    figure = Figure(figsize=(12, sum(heights) + 0.9), dpi=DPI)
-    top = max((float(c.votes.max(initial=0)) for c in curves), default=1.0)
-    grid = figure.add_gridspec(
-        len(heights), columns, height_ratios=heights, hspace=0.95, wspace=0.14,
-        left=0.055, right=0.985, top=1 - 0.62 / (sum(heights) + 0.9), bottom=0.45 / (sum(heights) + 0.9),
-    )  # fmt: skip
-    row = 0
-    for g in groups:
-        head = figure.add_subplot(grid[row, :])
-        head.axis("off")
-        head.text(0, 0.1, _group_title(g, members[g]), fontsize=11, weight="bold")
-        for k, curve in enumerate(members[g]):
-            axes = figure.add_subplot(grid[row + 1 + k // columns, k % columns])
-            _draw_curve(axes, curve, top, left=k % columns == 0)
-        row += 1 + lines[g]
-    text = "Preview matches above chance against frame offset (blue: candidates, grey: camera pair rejected)"
-    more = f"; {hidden} weaker camera pairs not shown" if hidden else ""
-    figure.text(0.055, 1 - 0.32 / (sum(heights) + 0.9), text + more, fontsize=12)
-    return png(figure)
-
-
-def _group_title(group: tuple[str, str], curves: Sequence[OffsetCurve]) -> str:
-    if group[0] == group[1]:
-        return f"pass {group[0]}: frame of the second camera minus frame of the first"
-    kind = "plus" if curves[0].reversed else "minus"
-    way = "runs back" if curves[0].reversed else "same way"
-    return f"passes {group[0]} and {group[1]} ({way}): frame in {group[1]} {kind} frame in {group[0]}"
-
-
-def _draw_curve(axes: Axes, curve: OffsetCurve, top: float, left: bool) -> None:
-    colour = "#1b6ca8" if curve.accepted else "#9a9a9a"
-    axes.fill_between(curve.offsets, curve.votes, color=colour, alpha=0.25, lw=0)
-    axes.plot(curve.offsets, curve.votes, color=colour, lw=1.2)
-    if curve.accepted:
-        axes.axvline(curve.best, color="#c0392b", lw=0.8)
-    best = f" ({curve.best:+d})" if curve.accepted else " (rejected)"
-    axes.set_title(f"{curve.sensor_a} \N{EN DASH} {curve.sensor_b}{best}", fontsize=8, pad=2)
-    axes.set_yscale("function", functions=(lambda v: np.sqrt(np.maximum(v, 0)), np.square))  # faint peaks stay visible
-    axes.set_ylim(0, top * 1.05)
-    axes.set_yticks([v for v in (0, 5, 20, 50, 100, 200, 500, 1000) if v <= top])
-    axes.tick_params(labelsize=7, length=2)
-    if not left:
-        axes.set_yticklabels([])
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
@@ -89,9 +321,9 @@ def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue])
         panel = figure.add_axes((0.075, bottom, 0.91, (_PANEL_IN - 0.3) / height))
         _bands(panel, scene, sections, frames, named=k == 0)
         _values(panel, scene, cue, frames)
-        _ticks(panel, scene, frames, last=k == len(cues) - 1)
+        panel.tick_params(labelsize=8, labelbottom=k == len(cues) - 1)
     if panel is not None:
-        panel.set_xlabel("frame of the pass", fontsize=9)
+        panel.set_xlabel("frames of all passes in a row", fontsize=9)
     figure.text(0.03, 1 - 0.28 / height, "Bridge and open sections by the up camera", fontsize=12)
     key = "brown: bridge; blue: open sky; dashed: threshold of the pass (none: the cue was not used)"
     figure.text(0.03, 1 - 0.5 / height, key, fontsize=8.5, color="#555555")
@@ -108,8 +340,12 @@ def _bands(axes: Axes, scene: Scene, sections: Sequence[Section], frames: np.nda
         if named and section is not None and b - a >= max(2, 0.03 * len(frames)):
             axes.text((a + b - 1) / 2, 1.02, section.name, transform=axes.get_xaxis_transform(), ha="center",
                       fontsize=8, color=INK)  # fmt: skip
-    for e in 1 + np.flatnonzero(np.diff(sequence)):
+    starts = 1 + np.flatnonzero(np.diff(sequence))
+    for e in starts:
         axes.axvline(e - 0.5, color=INK, lw=1.2)
+    for first in np.r_[0, starts] if named and len(frames) else ():
+        name = f"pass {scene.sequences[sequence[first]]}" if 0 <= sequence[first] < len(scene.sequences) else "loose"
+        axes.text(first - 0.3, 0.03, name, transform=axes.get_xaxis_transform(), fontsize=9, color=INK)
 
 
 def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
@@ -133,32 +369,3 @@ def _values(axes: Axes, scene: Scene, cue: Cue, frames: np.ndarray) -> None:
             axes.plot([own[0] - 0.5, own[-1] + 0.5], [threshold] * 2, color=RED, lw=1, ls="--")
             axes.annotate(f"{threshold:.3g}", (own[-1] + 0.4, threshold), (0, 2), textcoords="offset points",
                           ha="right", fontsize=8, color=RED)  # fmt: skip
-    axes.tick_params(labelsize=8)
-
-
-def _ticks(axes: Axes, scene: Scene, frames: np.ndarray, last: bool) -> None:
-    """Whole numbers of frames, counted separately in every pass; the passes' names inside the lowest panel."""
-    sequence = scene.sequence[frames]
-    start = np.array([int(np.argmax(sequence == t)) for t in sequence]) if len(frames) else np.zeros(0, int)
-
-    def rank(value: float, _: int | None = None) -> str:
-        k = round(value)
-        return str(k - int(start[k])) if 0 <= k < len(frames) and abs(value - k) < 1e-6 else ""
-
-    starts = np.unique(start)
-    if len(starts) > 1:
-        most = max(1, 14 // len(starts))
-        steps = [s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if s * most >= len(frames) / len(starts)]
-        step = steps[0] if steps else 2000
-        ends = np.r_[starts[1:], len(frames)]
-        axes.set_xticks(np.concatenate([np.arange(a, b, step) for a, b in zip(starts, ends)]))
-    else:
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.xaxis.set_major_formatter(FuncFormatter(rank))
-    if not last:
-        axes.tick_params(labelbottom=False)
-        return
-    for t in np.unique(sequence):
-        name = f"pass {scene.sequences[t]}" if 0 <= t < len(scene.sequences) else "loose"
-        axes.annotate(name, (float(np.flatnonzero(sequence == t)[0]) - 0.3, 0), (2, 3), textcoords="offset points",
-                      xycoords=("data", "axes fraction"), fontsize=9, color=INK)  # fmt: skip

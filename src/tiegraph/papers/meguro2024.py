@@ -25,11 +25,11 @@ from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network import axes
 from tiegraph.network.axes import allowed_within
-from tiegraph.network.offsets import curves_of, facing, votes_of
+from tiegraph.network.offsets import facing
 from tiegraph.network.passes import MatchCache, Pass, Proposal
 from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.papers import colmap_alone
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import among_best, evenly
@@ -89,7 +89,7 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
     best = np.zeros(scores.allowed.shape, int)
     for c, d in np.argwhere(scores.allowed):
         cameras = int(c), int(d)
-        offsets, votes = votes_of(scores, cameras, backwards, settings.min_matches, tuning.counts, total=True)
+        offsets, votes = _votes(scores, cameras, backwards, settings.min_matches, tuning.counts)
         if not len(offsets):
             continue
         best[c, d] = offsets[np.argmax(votes)]
@@ -104,8 +104,7 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
         looked_at = looked_at.where(~looked_at.isin(block)) | block
-    curves = curves_of(scores, backwards, voted, settings.min_matches, tuning.counts, best)
-    return Proposal(looked_at, notes, curves)
+    return Proposal(looked_at, notes)
 
 
 def _vote_constant(
@@ -139,12 +138,25 @@ def _measured_oblong(scores: ScoreMatrix, nodes: np.ndarray, cache: MatchCache) 
     return replace(scores, inliers=inliers)
 
 
+def _votes(
+    scores: ScoreMatrix, cameras: tuple[int, int], backwards: bool, min_matches: int, tuning: CountsTuning
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (K,) of two cameras, and the sum of the matches above chance at each."""
+    inliers = scores.inliers[cameras]
+    m, n = np.meshgrid(scores.rows, scores.columns, indexing="ij")
+    offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
+    value = np.maximum(0, inliers[np.isfinite(inliers)] - tuning.floor * min_matches)
+    offsets, at = np.unique(offset, return_inverse=True)
+    votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
+    return offsets.astype(np.int32), votes.astype(np.float32)
+
+
 def _backwards_by_votes(scores: ScoreMatrix, min_matches: int, tuning: Tuning) -> bool:
     """The direction in which the votes pile up higher."""
     height = [0.0, 0.0]
     for c, d in np.argwhere(scores.allowed):
         for k, backwards in enumerate((False, True)):
-            votes = votes_of(scores, (int(c), int(d)), backwards, min_matches, tuning.counts, total=True)[1]
+            votes = _votes(scores, (int(c), int(d)), backwards, min_matches, tuning.counts)[1]
             height[k] += float(votes.max(initial=0))
     return height[1] > height[0]
 

@@ -17,6 +17,7 @@ from tiegraph.design.coverage import (
 )
 from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
+from tiegraph.network.network import positions_of
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
 from tiegraph.pipeline.features import preview_of, previews_of, with_previews
@@ -45,13 +46,14 @@ def design(run: Run) -> Outcome:
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
     # The pairs on a map, the weak ones marked
-    positions = scene.world_from_rig[:, :3, 3]
+    model = run.path("coarse", "model.npz")
+    poses = load_npz(model)["cam_from_world"] if model.exists() else None
+    positions, unit = positions_of(scene, poses)
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
-    picture = map_png(made.pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
-    write_atomic(run.path("design", "map.png"), picture)
+    write_atomic(run.path("design", "map.png"), map_png(made.pairs, positions, scene, weak=weak, unit=unit))
     again, said = {}, ()
-    if (surface := surface_of(run)) is not None:
-        poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
+    surface = surface_of(run)
+    if surface is not None and poses is not None:
         drawn = surface_png(surface.cells, surface.places, poses, scene.frame)
         write_atomic(run.path("design", "surface.png"), drawn)
         again, said = {"where to go again": surface.table()}, surface.lines()

@@ -24,7 +24,7 @@ from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel, explained, with_surface
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.network import join_network, with_bases
-from tiegraph.network.offsets import OFFSETS, curves_csv
+from tiegraph.network.offsets import OFFSETS
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.features import Matcher, read_preview, up_light
 from tiegraph.pipeline.files import load_as, load_npz, load_scene, pairs_of, save_npz, scanned, ties_of, visibility_of
@@ -49,10 +49,6 @@ def candidates(run: Run) -> Outcome:
     save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
     save_npz(run.path("candidates", "matches.npz"), **found.ties.to_npz())
     write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
-    for name, picture in found.pictures():
-        write_atomic(run.path("candidates", f"{name}.png"), picture)
-    if found.curves:
-        write_atomic(run.path("candidates", "offsets.csv"), curves_csv(found.curves))
     counts = {"previews": len(found.ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     return Outcome(counts, notes=found.notes)
 

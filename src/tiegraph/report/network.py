@@ -132,8 +132,6 @@ _CAPTIONS = {
     "with only one link.",
     "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
     "rows of the table of places to revisit.",
-    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. The pair "
-    "range is centred on a clear peak; a flat curve means the two never see the same place.",
     "section": "View of the upward camera along the path, and the bridge and open sections derived from it.",
 }
 _WEAK_LINKS = "Weak links: places where the survey is disconnected, or weakly connected, if one tie or frame is lost."
@@ -174,10 +172,8 @@ def _title(stage: str) -> str:
 
 def _pictures(run: RunFolder) -> list[tuple[str, str]]:
     found, order = [], list(_CAPTIONS)
-    for path in sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png")):
-        title = path.stem.replace("curve", "offset")
-        if path.parent.name == "design":
-            title = {"surface": "covered"}.get(path.stem, "design")
+    for path in sorted(p for folder in ("network", "design") for p in (run.path / folder).glob("*.png")):
+        title = {"surface": "covered"}.get(path.stem, "design") if path.parent.name == "design" else path.stem
         kind = next((k for k in order if k in title), "")
         if uri := file_uri(path):
             caption = t(_CAPTIONS.get(kind, path.stem.replace("_", " ")))
