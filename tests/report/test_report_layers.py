@@ -421,14 +421,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_the_papers_tables(runs: list[Path], tmp_path: Path) -> None:
-    text = compare_runs(runs, tmp_path / "deep" / "compare.html")
+def test_the_papers_tables(runs: list[Path]) -> None:
+    text = compare_runs(runs)
     times = ("Mask image creation", "Matching list creation", "Feature matching", "MVS", "Total time")
     figures = ("Registered images", "Dense points", "Candidates", "Verified", "Back-projection RMSE", "ATE after SE3")
     for name in (*times, *figures, "conventional", "1.6 x", "round trip"):
         assert name in text, name
-    page = (tmp_path / "deep" / "compare.html").read_text()
-    assert "meguro2024" in page and "Total time" in page and "https://" not in page
+    assert "meguro2024" in text
 
 
 @pytest.mark.slow
@@ -480,22 +479,11 @@ def test_names_are_told_apart_and_printed_letter_by_letter(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_misuse_and_pages_of_others(runs: list[Path], tmp_path: Path) -> None:
-    page = tmp_path / "compare.html"
-    for _ in range(2):  # its own page is overwritten
-        compare_runs(runs, page)
-    page.write_text("<html>notes of mine</html>")
-    (tmp_path / "file").write_text("x")
-    for folders, target, words in (
-        (runs[:1], None, "at least two"),
-        ([runs[0], tmp_path / "none"], None, "no such run folder"),
-        (runs, tmp_path / "file" / "x.html", "cannot write"),
-        (runs, page, "compare.html exists"),
-    ):
+def test_one_run_or_none_is_refused(runs: list[Path], tmp_path: Path) -> None:
+    for folders, words in ((runs[:1], "at least two"), ([runs[0], tmp_path / "none"], "no such run folder")):
         with refused(words):
-            compare_runs(folders, target)
-    assert page.read_text() == "<html>notes of mine</html>"
+            compare_runs(folders)
 
 
 def test_ratio() -> None:
-    assert ratio((30.0, 10.0)) == "3.0 x" and ratio((1.0, 0.0)) == "–" and ratio((1.0, 2.0, 3.0)) == ""
+    assert ratio((30.0, 10.0)) == "3.0 x" and ratio((1.0, 0.0)) == "–"

@@ -173,15 +173,13 @@ class _Compare:
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
     """Run folders made by `tiegraph run`."""
-    html: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Also write the comparison as one HTML file."""
 
     def run(self) -> int:
         from tiegraph.report.compare import compare_runs
 
         for run in self.runs:
             check_format(run)
-        say(compare_runs(list(self.runs), self.html).rstrip("\n"))
+        say(compare_runs(list(self.runs)).rstrip("\n"))
         return 0
 
 

@@ -1,7 +1,6 @@
 """Two or more runs side by side: the papers' tables (000 tables 1-2, 001 tables 1-5, 002 table 1)."""
 
 import io
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,6 @@ from tiegraph.report import formatting
 from tiegraph.report.network import funnel_rows, is_loss
 from tiegraph.report.runfolder import STAGES, RunFolder, read_run
 from tiegraph.report.summary import metric_values
-from tiegraph.scene.atomic import replacing
 from tiegraph.scene.pairs import REASON_LOOKS
 
 _SFM = ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef")
@@ -43,7 +41,6 @@ _METRICS = {
     "ghosts": "Ghost points, %",
 }
 _MIXED = "m, or units of a model that nothing told the scale of"
-_MADE_BY = b'<meta name="generator" content="tiegraph compare">'
 
 
 @dataclass(frozen=True)
@@ -64,23 +61,26 @@ class Comparison:
     notes: tuple[str, ...]
 
 
-def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
-    """Text for the terminal of two or more run folders side by side; with ``html`` also one self-contained page.
+def compare_runs(folders: Sequence[Path]) -> str:
+    """Tables of two or more run folders side by side, plain text for a terminal; two have a column first / second.
 
-    With two runs a column gives first / second. Raises InputError for fewer than two folders, one without a run, or a
-    file ``html`` that exists and is no comparison.
+    Raises InputError for fewer than two folders, or one without a run.
     """
     comparison = compared(folders)
-    if html is not None:
-        ours = html.is_file() and _MADE_BY in html.read_bytes()[:1000]
-        if os.path.lexists(html) and not ours:
-            raise InputError(f"--html {html} exists, and tiegraph compare did not write it: give a new file")
-        try:
-            with replacing(html) as temporary:
-                temporary.write_text(to_html(comparison), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"cannot write {html}: {error.strerror}; choose another file for --html") from error
-    return to_text(comparison)
+    names, two = comparison.names, len(comparison.names) == 2
+    out = io.StringIO()
+    width = max(80, 44 + 18 * len(names))
+    console = Console(file=out, width=width, force_terminal=False, highlight=False, markup=False, emoji=False)
+    for block in comparison.blocks:
+        table = RichTable("", title=block.title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        for name in (*names, *(["ratio"] if two else [])):
+            table.add_column(name, justify="right", overflow="fold")
+        for name, values in block.rows:
+            table.add_row(name, *map(block.text, values), *([ratio(values)] if two else []))
+        console.print(table)
+    for note in comparison.notes:
+        console.print(f"Note: {note}")
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
 
 
 def compared(folders: Sequence[Path]) -> Comparison:
@@ -169,43 +169,5 @@ def _notes(runs: Sequence[RunFolder]) -> list[str]:
 
 def ratio(values: Sequence[float]) -> str:
     """First / second of two values."""
-    if len(values) != 2:
-        return ""
     known = np.isfinite(values).all() and values[1] != 0
     return f"{formatting.number(values[0] / values[1], 2)} x" if known else formatting.NONE
-
-
-def _tables(comparison: Comparison) -> list[formatting.Table]:
-    two = len(comparison.names) == 2
-    columns = ("", *comparison.names, *(["ratio"] if two else []))
-    numeric = (False, *[True] * (len(columns) - 1))
-    out = []
-    for block in comparison.blocks:
-        rows = ((name, *map(block.text, values), *([ratio(values)] if two else [])) for name, values in block.rows)
-        out.append(formatting.Table(columns=columns, rows=tuple(rows), numeric=numeric, title=block.title))
-    return out
-
-
-def to_text(comparison: Comparison) -> str:
-    """Tables for a terminal, plain text."""
-    out = io.StringIO()
-    width = max(80, 44 + 18 * len(comparison.names))
-    console = Console(file=out, width=width, force_terminal=False, highlight=False, markup=False, emoji=False)
-    for made in _tables(comparison):
-        table = RichTable("", title=made.title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-        for name in made.columns[1:]:
-            table.add_column(name, justify="right", overflow="fold")
-        for row in made.rows:
-            table.add_row(*row)
-        console.print(table)
-    for note in comparison.notes:
-        console.print(f"Note: {note}")
-    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
-
-
-def to_html(comparison: Comparison) -> str:
-    """One self-contained page."""
-    from tiegraph.report.html import environment
-
-    template = environment().get_template("compare.html.jinja")
-    return template.render(names=comparison.names, tables=_tables(comparison), notes=comparison.notes)
