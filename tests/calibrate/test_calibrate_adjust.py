@@ -5,19 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
-from scipy.spatial.transform import Rotation
 
 from calibrate.board_world import Renderer, board_before, boards_of_rig, camera, observed, rig_pose, texture
 from tiegraph.calibrate.adjust import State, adjust_robustly, place_boards, start
 from tiegraph.calibrate.board import APRILGRID, CHECKER, check_views, detect, read_board
 from tiegraph.calibrate.judge import judge, parameters, precision
-from tiegraph.calibrate.summary import differences, kalibr_yaml, opencv_yaml, parameter_rows
+from tiegraph.calibrate.summary import kalibr_yaml, opencv_yaml, parameter_rows
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigfiles.camerafile import read_camera_file
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
-from tiegraph.scene.rig import Sensor
 
 BOARD = read_board("charuco:9x7:0.03:0.022")
 SIZE = (640, 480)
@@ -241,49 +239,6 @@ def test_the_bend_of_a_board_is_found_and_taken_out():
 def lens_of(focal: float = 1000.0, cx: float = 480.0, k1: float = -0.1, size: tuple[int, int] = (960, 720)):
     params = [focal, focal, cx, size[1] / 2, k1, 0.0, 0.0, 0.0]
     return pycolmap.Camera(model="OPENCV", width=size[0], height=size[1], params=params)
-
-
-def place_of(yaw_deg: float, place: tuple[float, float, float]) -> np.ndarray:
-    rotation = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
-    return transforms.rigid(rotation, -rotation @ np.array(place))
-
-
-def test_what_differs_is_told_in_its_unit_and_in_sigmas():
-    first = [
-        Sensor("a", lens_of(), np.eye(4), camera_sigma_px=0.3),
-        Sensor("b", lens_of(), place_of(30.0, (0.2, 0, 0)), camera_sigma_px=0.3, sigma_deg=0.01, sigma_m=0.0005),
-    ]
-    second = [
-        Sensor(
-            "b", lens_of(1002.0), place_of(30.05, (0.203, 0, 0)), camera_sigma_px=0.4, sigma_deg=0.01, sigma_m=0.0005
-        ),
-        Sensor("a", lens_of(), np.eye(4)),
-    ]
-    same, other = differences(first, second)
-    assert (same.name, same.focal, same.focal_sigmas) == ("a", 0.0, 0.0) and same.lens_px < 1e-6
-    assert np.isnan(same.turn_deg) and same.worst_sigmas() == 0
-    assert other.focal == pytest.approx(0.002) and other.focal_sigmas == pytest.approx(4.0)
-    assert 0.3 < other.lens_px < 1.0  # 2 px of focal length at the edge, 0.96 at most
-    assert other.turn_deg == pytest.approx(0.05) and other.place_m == pytest.approx(0.003)
-    assert other.turn_sigmas == pytest.approx(0.05 / np.sqrt(6) / 0.01)
-    assert other.place_sigmas == pytest.approx(3 / np.sqrt(6) / 0.5) and other.worst_sigmas() == other.focal_sigmas
-
-
-def test_the_lens_is_compared_beyond_what_a_turn_explains():
-    (shifted,) = differences([Sensor("a", lens_of())], [Sensor("c", lens_of(cx=490.0))])
-    (bent,) = differences([Sensor("a", lens_of())], [Sensor("c", lens_of(k1=-0.12))])
-    assert 0.2 < shifted.lens_px < 3 and np.isnan(shifted.focal_sigmas)  # ten pixels of a centre are mostly a turn
-    assert 0.5 < bent.lens_px < 5
-
-
-def test_sizes_are_brought_together_or_refused():
-    one = [Sensor("a", lens_of())]
-    (row,) = differences(one, [Sensor("a", lens_of(500.0, 240.0, size=(480, 360)))])
-    assert abs(row.focal) < 1e-9 and row.lens_px < 1.0
-    with pytest.raises(InputError, match="another shape"):
-        differences(one, [Sensor("a", lens_of(size=(720, 960)))])
-    with pytest.raises(InputError, match="no camera is in both"):
-        differences([Sensor(n, lens_of()) for n in "ab"], [Sensor(n, lens_of()) for n in "cd"])
 
 
 GRID = "target_type: 'aprilgrid' #gridtype\ntagCols: 6\ntagRows: 5\ntagSize: 0.088  # [m]\ntagSpacing: 0.3\n"

@@ -359,27 +359,6 @@ def test_the_verb_writes_what_colmap_and_tiegraph_read(tmp_path: Path, capsys: p
 
 
 @pytest.mark.slow
-def test_the_calibration_of_a_run_is_held_against_that_of_a_board(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    run = _run(tmp_path / "out", _given(), _poses(0.3))
-    assert main(["calibrate", "--from", str(run), "-o", str(tmp_path / "own.toml")]) == 0
-    (own,) = read_rig_file(tmp_path / "own.toml", RIG)
-    moved = (tmp_path / "own.toml").read_text().replace("61.2345678901", "61.3345678901")
-    (tmp_path / "board.toml").write_text(moved)
-    capsys.readouterr()
-    compared = ["calibrate", "--from", str(run), "--against", str(tmp_path / "board.toml")]
-    assert main([*compared, "-o", str(tmp_path / "again.toml"), "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["differences"]
-    assert [r["name"] for r in rows] == [s.name for s in own.sensors]
-    assert rows[0]["focal"] == pytest.approx(-0.05 / 61.16, rel=0.01) and 0.005 < rows[0]["lens_px"] < 0.05
-    assert rows[1]["turn_deg"] < 1e-5 and rows[1]["place_m"] < 1e-6
-    for wrong in (["--board", "checker:9x6:0.02"], ["--against", str(tmp_path / "none.toml")]):
-        assert main(["calibrate", "--from", str(run), *wrong, "-o", str(tmp_path / "no.toml")]) == 2
-    assert not (tmp_path / "no.toml").exists()
-
-
-@pytest.mark.slow
 def test_another_run_starts_from_it_at_once(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     poses = _poses(0.37, 1.5)
     before = _run(tmp_path / "before", _given(), poses, tables=_mounting(poses))

@@ -1,7 +1,7 @@
 """Verbs beside the pipeline that work on recordings: `shots`, `stations`, `calibrate`, `plan`, `lidar`, `odometry`."""
 
 import json as json_text
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +12,6 @@ from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.cli.options import Talk
 from tiegraph.cli.output import say, show_table
 from tiegraph.cli.run import Survey
-from tiegraph.errors import SettingsError
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.plan.request import PlanRequest
 from tiegraph.project.settings import read_tunings
@@ -107,15 +106,11 @@ def _mm(value: float | None) -> str:
 class Calibrate(Talk):
     """Calibrate a camera, or the cameras of a rig, by images of a board; --rig reads what it writes."""
 
-    images: tyro.conf.Positional[Path | None] = None
+    images: tyro.conf.Positional[Path]
     """The folder that holds the images, one folder a camera; equal names = one instant."""
-    board: str | None = None
+    board: str
     """charuco:7x5:0.04:0.03:DICT_5X5_1000 (squares across x down, side of a square and of a marker in metres,
     dictionary), checker:9x6:0.025 (inner corners, side of a square), or Kalibr's aprilgrid.yaml."""
-    folder: Annotated[Path | None, tyro.conf.arg(name="from")] = None
-    """A run folder instead of images: the calibration that this survey found (as `tiegraph rig` writes it)."""
-    against: Path | None = None
-    """With --from: a rig file, such as a board's, that it is compared with."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("rig.toml")
     """The rig file to write, with a folder of its name beside it; neither may be there."""
     tuning: Path | None = None
@@ -125,17 +120,9 @@ class Calibrate(Talk):
     settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = CalibrateSettings()
 
     def run(self) -> int:
-        from tiegraph.pipeline.calibrate import calibrate, self_calibration
+        from tiegraph.pipeline.calibrate import calibrate
 
         reporter, tunings = self.reporter(), read_tunings(self.tuning)
-        if self.folder is not None:
-            if self.images is not None or self.board is not None:
-                raise SettingsError("--from OUT takes the calibration of a run: leave the images and --board away")
-            rows = self_calibration(self.folder, self.out, self.against, reporter, tunings)
-            reporter.event("calibrated", rig=self.out, differences=[asdict(r) for r in rows])
-            return 0
-        if self.images is None or self.board is None or self.against is not None:
-            raise SettingsError("give images and --board, or --from OUT (and --against RIG_FILE)")
         verdict = calibrate(self.images, self.board, self.out, self.settings, self.pool, reporter, tunings)
         reporter.event("calibrated", rig=self.out, advice=verdict.advice)
         return 0

@@ -1,5 +1,4 @@
-"""Glue of pattern calibration: from a folder of images of a board to a rig file, with notes; and of
-`tiegraph calibrate --from OUT`: the calibration of a run, compared with one of a board.
+"""Glue of pattern calibration: from a folder of images of a board to a rig file, with notes.
 
 There is no run folder: the results are a rig.toml and, beside it, a folder with the same for other programs and a
 summary. Neither may exist before.
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly, start
 from tiegraph.calibrate.board import (
@@ -30,9 +28,7 @@ from tiegraph.calibrate.board import (
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.summary import (
-    Difference,
     correlation_csv,
-    differences,
     kalibr_yaml,
     lengths,
     opencv_yaml,
@@ -41,7 +37,6 @@ from tiegraph.calibrate.summary import (
     summary,
 )
 from tiegraph.errors import InputError
-from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import VerbTunings
@@ -51,8 +46,7 @@ from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.prepare import Report, usable_images
 from tiegraph.scan.rigfiles.camerafile import MODELS
 from tiegraph.scan.rigfiles.rigfaults import nearest
-from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scan.rigfiles.rigspec import SensorSpec, rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.composed import WIDE
 from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
@@ -311,69 +305,3 @@ def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
             )
         )
     return Rig("rig" if len(sensors) > 1 else "camera", tuple(sensors), synchronised=len(sensors) > 1)
-
-
-def self_calibration(
-    folder: Path,
-    out: Path,
-    against: Path | None = None,
-    reporter: Reporter | None = None,
-    tunings: VerbTunings | None = None,
-) -> tuple[Difference, ...]:
-    """Write the rig of a run folder as ``out``; its differences from the rig file ``against``, camera by camera.
-
-    Raises InputError as ``foundrig.rig_file`` does, for a rig file that cannot be read, has several rigs or other
-    cameras, and for existing outputs.
-    """
-    reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
-    tuning = tunings.scan.rig
-    _folder_beside(out)
-    others = () if against is None else read_rig_file(against, tuning)
-    if len(others) > 1:
-        raise InputError(f"--against {against}: {len(others)} rigs in it, and a run's rig is compared with one")
-    found = rig_file(folder)
-    said = [f"the run says: {text}" for text in found.said]
-    rows: tuple[Difference, ...] = ()
-    for other in others:
-        (own,) = parse_rig_file(folder, found.text, tuning)
-        rows = differences(*([_calibration(s) for s in rig.sensors] for rig in (other, own)))
-        said += [sentence(row) for row in rows]
-    write_atomic(out, found.text)
-    for text in (*said, f"written: {out}"):
-        reporter.say(text)
-    return rows
-
-
-def sentence(row: Difference) -> str:
-    """The comparison of two calibrations of a camera, in words."""
-    parts = []
-    if np.isfinite(row.focal):
-        parts.append(f"focal length {100 * row.focal:+.3f} %{_sigmas(row.focal_sigmas)}")
-        parts.append(f"lens different by {row.lens_px:.2f} px (RMS)")
-    if np.isfinite(row.turn_deg):
-        parts.append(f"rotated by {row.turn_deg:.3f} deg{_sigmas(row.turn_sigmas)}")
-        parts.append(f"moved by {1000 * row.place_m:.1f} mm{_sigmas(row.place_sigmas)}")
-    worst = row.worst_sigmas()
-    if np.isfinite(worst):
-        parts.append("they agree" if worst <= 3 else "they contradict each other")
-    return f"{row.name}, against the board: {', '.join(parts) or 'nothing to compare'}"
-
-
-def _sigmas(value: float) -> str:
-    return f" ({value:.1f} sigmas)" if np.isfinite(value) else ""
-
-
-def _calibration(sensor: SensorSpec) -> Sensor:
-    camera = None
-    if sensor.model is not None and sensor.params is not None and sensor.size is not None:
-        width, height = sensor.size
-        camera = pycolmap.Camera(model=sensor.model, width=width, height=height, params=list(sensor.params))
-    pose = sensor.body_from_sensor
-    return Sensor(
-        name=sensor.name,
-        camera=camera,
-        sensor_from_rig=None if pose is None else np.linalg.inv(pose),
-        camera_sigma_px=sensor.camera_sigma_px,
-        sigma_deg=sensor.sigma_deg,
-        sigma_m=sensor.sigma_m,
-    )
