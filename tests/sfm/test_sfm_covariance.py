@@ -22,7 +22,6 @@ from tiegraph.sfm.adjustment.constraints import NOTHING
 from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, gauge, point_inverse, reduced
 from tiegraph.sfm.covariance import LENS, MOUNTING, position_sigma
-from tiegraph.sfm.finish import _open_places
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
@@ -168,7 +167,7 @@ def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("others", [1, 9])
 def test_a_frame_whose_points_no_two_others_see_has_an_unknown_distance(others: int) -> None:
-    """Along a straight path: across it two rays tell, along it nothing; it is named, its neighbours behind it."""
+    """Along a straight path: across it two rays tell, along it nothing."""
     model, scene = moving_world(frames=10)
     for key, point in list(model.points3D.items()) if others == 1 else []:
         xyz, seen = np.array(point.xyz), [(e.image_id, e.point2D_idx) for e in point.track.elements]
@@ -181,13 +180,11 @@ def test_a_frame_whose_points_no_two_others_see_has_an_unknown_distance(others: 
             model.add_point3D(xyz, pycolmap.Track([pycolmap.TrackElement(*e) for e in two]))
     model = _noisy(model, 0.3, 0)
     sigma = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
-    said = _open_places(Shape.of(model, sigma, scene), scene, TUNING.sigma)
     x, _, along = sigma.sigma[-1]
     if others == 9:
-        assert along < 0.003 and said == []
+        assert along < 0.003
     else:
         assert 0.1 < along < 3 and x < 0.2 * along
-        assert "(sigma 0." in said[0] and ": cam0/009.jpg: " in said[0]
 
 
 def test_two_frames_have_no_sigma(tmp_path) -> None:

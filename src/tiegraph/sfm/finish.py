@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pycolmap
 from scipy import sparse
-from scipy.spatial import KDTree
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
@@ -263,14 +262,13 @@ def _precision(out: FinishResult, checked: Checked, request: FinishRequest, step
         return
     try:
         sigma = _position_sigma(checked, request)
-        alone = Shape.of(checked.model, sigma, scene)
-        out.shape = Shape.of(checked.model, sigma, scene, steps) if steps else alone
+        out.shape = Shape.of(checked.model, sigma, scene, steps)
         out.sigma = sigma.covering(steps)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         out.notes.append(f"position sigmas could not be computed: {error}")
         return
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
-    out.notes += _open_notes(out.sigma, names, tuning) + _open_places(alone, scene, tuning)
+    out.notes += _open_notes(out.sigma, names, tuning)
     out.tables |= out.sigma.tables(names)
 
 
@@ -294,17 +292,6 @@ def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTun
         "other cameras; a lever arm measured and given in a rig file would place its images"
         for camera, share in sigma.open_mountings(tuning).items()
     ]
-
-
-def _open_places(shape: Shape | None, scene: Scene, tuning: SigmaTuning) -> list[str]:
-    """Frames that are placed far worse than the others, such as one whose points no two other frames see."""
-    if shape is None:
-        return []
-    size, step = shape.sigma, KDTree(shape.place).query(shape.place, k=2)[0][:, 1]
-    rows = np.flatnonzero((size > tuning.open_share * step) & (size > tuning.open_times * np.median(size)))
-    each = [f"{scene.frame_names[shape.index[k]]}: {size[k]:.2g}" for k in rows[np.argsort(-size[rows])]]
-    said = f"{len(rows)} frames are placed far worse than the others (sigma {np.median(size):.2g} model units)"
-    return [f"{said}: {some(each, _NAMED)}; too few of their points are seen by two other frames"] if each else []
 
 
 @dataclass(frozen=True)
