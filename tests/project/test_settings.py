@@ -223,7 +223,6 @@ PATHS = [
     ("georef", "marks", "file", {}),
     ("evaluate", "reference", "file or folder", {}),
     ("evaluate", "reference_cloud", "file", {}),
-    ("evaluate", "reference_masks", "folder", {}),
 ]
 
 

@@ -96,9 +96,9 @@ class Demo(Common):
 
     def run(self) -> int:
         survey = example()
-        truth = {"reference": "colmap", "reference_cloud": "reference.laz", "reference_masks": "masks"}
+        truth = {"reference": "colmap", "reference_cloud": "reference.laz"}
         evaluate = {name: survey / "truth" / file for name, file in truth.items()}
-        evaluate |= {"mask_labels": (4,), "reference_origin": _ORIGIN}
+        evaluate |= {"reference_origin": _ORIGIN}
         given = {"rig": survey / "rig.toml", "gnss": survey / "gnss.csv", "times": survey / "times.csv"}
         how = {"preset": self.preset, "pool": self.pool, "unset": self.unset, "settings": {"evaluate": evaluate}}
         return finish(open_project(survey / "images", self.out, **how, **given), self.until, self)

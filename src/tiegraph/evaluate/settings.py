@@ -28,12 +28,6 @@ class EvaluateSettings(Section):
     """Latitude, longitude (deg), ellipsoidal height (m) of references given in local east-north-up metres about it; not
     of a cloud whose header names its CRS."""
 
-    reference_masks: Path | None = user_path("folder")
-    """Hand-made masks, named as masks.folder describes: the table of mask accuracy of paper 001."""
-
-    mask_labels: tuple[Annotated[int, Field(ge=0, le=65535)], ...] = ()
-    """If the reference masks hold class labels: the label values that are useful, everything else should be masked."""
-
     alignment: Literal["rigid", "similarity", "none"] = "rigid"
     """How the cloud is laid on the reference: by the matched poses without scale, with scale, or as it is."""
 

@@ -14,8 +14,7 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.masks.folder import compare
-from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading, world_origin
+from tiegraph.pipeline.files import checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -23,7 +22,6 @@ from tiegraph.scene.atomic import remove
 from tiegraph.scene.cloudchunks import Measured, open_cloud, write_measured
 from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.colmapmodel import registration
-from tiegraph.scene.scene import Scene
 from tiegraph.text import command
 
 PASSES = "passes"
@@ -31,7 +29,7 @@ PASSES = "passes"
 
 
 def evaluate(run: Run) -> Outcome:
-    """Figures of merit of the masks, the model and the cloud, against references if they are given."""
+    """Figures of merit of the model and the cloud, against references if they are given."""
     scene, settings = checked(run), run.settings.evaluate
     model = load_model(run.path("sparse", "world"))
     origin = world_origin(run.folder)
@@ -62,8 +60,6 @@ def evaluate(run: Run) -> Outcome:
     if found.cloud is not None:
         write_judgement(found.cloud, run.path("evaluate"), origin, found.alignment)
     result = found.metrics
-    if settings.reference_masks is not None:
-        unfit += _masks(run, scene, settings, result["tables"])
     save_json(run.path("metrics.json"), result)
     tables = {**run.receipts.read("georef").get("tables", {}), **result["tables"]}
     write_atomic(run.path("accuracy.csv"), accuracy_csv(result, tables, world))
@@ -112,19 +108,6 @@ def measured(found: Differences) -> Measured:
     }
     limit = float(np.nanpercentile(np.abs(found.distance_m), 95)) if found.known.any() else 1.0
     return Measured(found.xyz, columns, (-limit, limit))
-
-
-def _masks(run: Run, scene: Scene, settings: EvaluateSettings, tables: dict[str, dict]) -> list[str]:
-    """Add the table of the masks against true ones; notes on true ones that do not fit."""
-    assert settings.reference_masks is not None
-    cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
-    try:
-        found = compare(run.path(FINAL, "masks"), settings.reference_masks, cameras, settings.mask_labels)
-    except InputError as error:
-        return [f"no reference mask is compared: {error}"]
-    tables["mask accuracy"] = found.table()
-    few = f"{len(found.unfit)} reference masks are not compared, the first because: "
-    return [few + found.unfit[0]] if found.unfit else []
 
 
 def report(run: Run) -> Outcome:

@@ -13,7 +13,6 @@ import pycolmap
 
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
-from tiegraph.masks.folder import candidates, find_mask
 from tiegraph.masks.sources import read_model
 from tiegraph.pipeline.files import read_image, scanned
 from tiegraph.pipeline.foundrig import rig_of_run
@@ -108,8 +107,7 @@ def _read_inputs(run: Run) -> None:
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
-    """Notes on control points and the pair list for the images of a scan. Raises InputError if they do not fit, or no
-    reference mask is of an image."""
+    """Notes on control points and the pair list for the images of a scan. Raises InputError if they do not fit."""
     file = control_file(run)
     notes: tuple[str, ...] = ()
     if file is not None and file.points:
@@ -118,12 +116,6 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     elif file is not None:
         locate_bars(file, scene, orientation=orientations(run, scene, file))
         notes = file.notes
-    masks = run.settings.evaluate.reference_masks
-    if masks is not None and not any(find_mask(masks, name) for name in scene.names):
-        names = ", ".join(candidates(scene.names[0]))
-        raise InputError(
-            f"--evaluate.reference-masks {masks}: no mask of any image; of the first one could be: {names}"
-        )
     path = run.settings.candidates.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
 
