@@ -159,11 +159,9 @@ def _chosen(
 
 
 def _made(before: Pairs, after: Pairs, notes: tuple[str, ...], counts: dict[str, float]) -> DesignResult:
-    """The result with its funnel."""
-    funnel = after.funnel()
-    table = {"columns": ["step", "pairs"], "rows": [[k, v] for k, v in funnel.items()]}
-    figures = {"candidates": float(np.sum(before.dropped == 0)), "pairs": float(funnel["used"]), **counts}
-    return DesignResult(pairs=after, notes=notes, counts=figures, tables={"funnel": table})
+    """The result with the numbers of pairs before and after."""
+    figures = {"candidates": float(np.sum(before.dropped == 0)), "pairs": float(np.sum(after.dropped == 0)), **counts}
+    return DesignResult(pairs=after, notes=notes, counts=figures)
 
 
 def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:

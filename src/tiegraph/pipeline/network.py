@@ -213,9 +213,5 @@ def network(run: Run) -> Outcome:
     for name, picture in found.plots(load_npz(model)["cam_from_world"] if model.exists() else None):
         write_atomic(run.path("network", f"{name}.png"), picture)
     funnel = found.pairs.funnel()
-    rows = [[name, count] for name, count in funnel.items()]
-    return Outcome(
-        {"candidates": funnel["candidates"], "kept": funnel["used"], "sections": len(sections)},
-        notes=found.notes,
-        tables={"funnel": {"columns": ["step", "pairs"], "rows": rows}},
-    )
+    counts = {"candidates": funnel["candidates"], "kept": funnel["used"], "sections": len(sections)}
+    return Outcome(counts, notes=found.notes)

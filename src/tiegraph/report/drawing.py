@@ -19,7 +19,7 @@ from tiegraph.scene.decoding import read_pixels
 from tiegraph.text import printable
 
 WIDTH = 420.0
-USED, LIGHT, ALERT, SOFT = "var(--used)", "var(--light)", "var(--alert)", "var(--soft)"
+USED, LIGHT, ALERT = "var(--used)", "var(--light)", "var(--alert)"
 _LEFT = 50.0  # room for the numbers beside a chart
 _LONGEST = 20  # letters of a name beside a matrix; the end tells more: the camera
 

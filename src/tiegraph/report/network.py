@@ -140,13 +140,12 @@ _SOUND = "No weak links: no place depends on a single tie or frame."
 
 def network_part(run: RunFolder) -> dict[str, Any]:
     """Pictures, funnel, tables and remarks of the stages from preview to matching."""
-    out: dict[str, Any] = {"matrices": None, "funnel": None, "degrees": None, "table": None, "sound": None}
+    out: dict[str, Any] = {"matrices": None, "funnel": None, "degrees": None, "sound": None}
     pairs = run.pairs if run.pairs is not None else run.network
     if pairs is not None and run.scene is not None and len(pairs):
         before = run.network if run.network is not None else pairs
         out["matrices"] = [looked_at(before, run.scene), holding(pairs, run.scene)]
-        rows = funnel_rows(pairs, run.network)
-        out["funnel"], out["table"] = funnel(rows), _funnel_table(rows, len(run.scene))
+        out["funnel"] = funnel(funnel_rows(pairs, run.network))
         label = t("ties of an image (red: fewer than {})", FEW_TIES)
         out["degrees"] = histogram(ties(pairs, len(run.scene)), FEW_TIES, label, t("images"))
     notes = {_title(s): lines for s in _NETWORK_STAGES if s != "coarse" and (lines := run.notes(s))}
@@ -161,7 +160,7 @@ def network_part(run: RunFolder) -> dict[str, Any]:
                 out["sound"] = t(_SOUND)
             elif table is not None and plain == "weak links":
                 out["links"].append(replace(table, title=t(_WEAK_LINKS)))
-            elif table is not None and plain != "funnel":  # that is drawn from the pair table
+            elif table is not None:
                 out["tables"].append(table)
     return {**out, "there": any(out[name] for name in ("matrices", "pictures", "tables", "links", "notes"))}
 
@@ -179,12 +178,3 @@ def _pictures(run: RunFolder) -> list[tuple[str, str]]:
             caption = t(_CAPTIONS.get(kind, path.stem.replace("_", " ")))
             found.append((order.index(kind) if kind else len(order), uri, caption))
     return [(uri, caption) for _, uri, caption in sorted(found, key=lambda f: f[0])]
-
-
-def _funnel_table(rows: list[tuple[str, int, str]], images: int) -> formatting.Table | None:
-    every = images * (images - 1) / 2
-    body = [
-        [step_name(name), value if is_loss(name) else None, left, 100 * left / every if every else None]
-        for (name, value, _), left in zip(rows, pairs_left(rows))
-    ]
-    return formatting.table({"columns": ["step", "dropped", "pairs left", "% of all possible"], "rows": body})

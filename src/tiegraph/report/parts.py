@@ -12,24 +12,24 @@ from markupsafe import Markup
 
 from tiegraph.geometry import transforms
 from tiegraph.report import formatting
-from tiegraph.report.drawing import LIGHT, SOFT, USED, Series, bars, file_uri, plot
+from tiegraph.report.drawing import LIGHT, USED, Series, file_uri, plot
 from tiegraph.report.formatting import Table, is_number, marked
 from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.texts import capital, said, t
 from tiegraph.scene.colmapmodel import BY_RIG
 from tiegraph.scene.evidence import figures
 
-EVIDENCE = "evidence"  # the table that has a section of its own
+EVIDENCE = "evidence"
 _HEAD, _HEADS = 70, 3  # letters and number of contradictions in the headline
 
 
 def receipt_tables(run: RunFolder, *stages: str) -> list[Table]:
-    """The tables of stages, except those shown elsewhere; the funnel is drawn from the pair table."""
+    """The tables of stages, except the one that has a section of its own."""
     found = (
         formatting.table(data, capital(said(name.replace("_", " "))), f"receipts.{stage}.{name}")
         for stage in stages
         for name, data in run.tables(stage).items()
-        if name not in (EVIDENCE, "funnel")
+        if name != EVIDENCE
     )
     return [table for table in found if table is not None]
 
@@ -194,15 +194,12 @@ def rig_table(run: RunFolder) -> Table | None:
 
 
 def effort(run: RunFolder) -> dict[str, Any]:
-    """Charts and table of the stages, settings of each, versions."""
-    rows, body, times, memory = stage_rows(run), [], [], []
-    for stage, wall, cpu, peak in rows:
+    """Table of the stages, settings of each, versions."""
+    body = []
+    for stage, wall, cpu, peak in stage_rows(run):
         whole = {k: v for k, v in run.counts(stage).items() if isinstance(v, int)}  # others are shown elsewhere
         text = t(", ").join(_counted(v, str(k).replace("_", " ")) for k, v in whole.items())
-        wall_s, cpu_s, mib = formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak)
-        body.append((stage, wall_s, cpu_s, mib, text))
-        times.append((stage, ((wall, USED), (max(cpu - wall, 0), LIGHT)), f"{wall_s} ({cpu_s})"))
-        memory.append((stage, ((peak, SOFT),), f"{mib} MiB"))
+        body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
     columns = (t("stage"), t("wall time"), t("CPU time"), t("peak MiB"), t("counts"))
     settings, software = [], {}
     for s in STAGES:
@@ -212,8 +209,7 @@ def effort(run: RunFolder) -> dict[str, Any]:
             values = {**receipt["settings"], **_flat("tuning", receipt.get("tuning") or {})}
             settings.append((s, [(k, formatting.cell(_named(v))) for k, v in values.items()]))
     return {
-        "charts": [bars(times, t("Wall time (CPU time)")), bars(memory, t("Peak memory"))] if rows else [],
-        "table": Table(columns, tuple(body), (False, True, True, True, False)) if rows else None,
+        "table": Table(columns, tuple(body), (False, True, True, True, False)) if body else None,
         "settings": settings,
         "software": sorted(software.items()),
     }
