@@ -18,13 +18,10 @@ from markupsafe import escape
 from accuracy_marks import check, unmarked
 from said import refused, says
 from tiegraph.errors import EngineMissing
-from tiegraph.geometry.geodesy import Origin
 from tiegraph.report import accuracy, cloudview, drawing, formatting, html, maps, pdf, texts
 from tiegraph.report.cloudview import (
     compass,
-    distance_scales,
     render,
-    section_scale,
     standard_views,
     with_scale_bar,
 )
@@ -32,10 +29,9 @@ from tiegraph.report.compare import compare_runs, compared, ratio
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.parts import PASSES, about
-from tiegraph.report.runfolder import RunFolder, read_run
+from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.summary import ABSENT, HANGING, LEFT_OUT, REGISTERED, image_rows
-from tiegraph.scene.cloudchunks import Measured, write_measured
 from tiegraph.scene.composed import WIDE, carrying
 from tiegraph.scene.results import Accuracy, Figure
 from tiegraph.scene.scene import Scene
@@ -350,7 +346,7 @@ SECTIONS = "sections: open 1 (5 frames), bridge 1 (5 frames)"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with two passes compared and a reference cloud, its sections named."""
+    """A run with two passes compared, its sections named."""
     made = make_run(tmp_path_factory.mktemp("run") / "quay")
     metrics = json.loads((made / "metrics.json").read_text())
     rows = [["all", 900, 0.001, 0.021], ["0", 500, 0.002, 0.017], ["1", 400, -0.001, 0.033]]
@@ -358,44 +354,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "metrics.json").write_text(json.dumps(metrics))
     receipt = json.loads((made / "receipts" / "network.json").read_text())
     (made / "receipts" / "network.json").write_text(json.dumps({**receipt, "notes": [SECTIONS]}))
-    origin = Origin.from_dict(json.loads((made / "world.json").read_text())["origin"])
-    xyz = np.stack(np.meshgrid(np.arange(0, 10, 0.1), [9.0], np.arange(0, 5, 0.1)), -1).reshape(-1, 3)
-    for name in ("evaluate/distances.laz", "passes/differences.laz"):
-        (made / name).parent.mkdir(exist_ok=True)
-        write_measured([Measured(xyz, {"distance_m": xyz[:, 0] - 5}, (-1, 1))], made / name, origin, 0.1)
     return made
-
-
-@pytest.fixture(scope="module")
-def run(folder: Path) -> RunFolder:
-    return read_run(folder, 1000)
-
-
-@pytest.mark.slow
-def test_a_point_has_the_distance_of_what_was_measured_next_to_it(run: RunFolder) -> None:
-    xyz = np.array([[2.02, 9.01, 3.0], [7.5, 9.0, 1.0], [7.5, 8.0, 1.0], [-5, 9, 3.0]])
-    found = distance_scales(run, xyz)
-    assert [(name, s.signed) for name, s in found.items()] == [
-        ("distance to the reference cloud", False),
-        ("one pass against the other", True),
-    ]
-    for scale in found.values():
-        assert np.allclose(scale.values, [-3, 2.5, np.nan, np.nan], atol=0.06, equal_nan=True)
-
-
-@pytest.mark.slow
-def test_a_point_lies_in_the_section_of_the_nearest_camera(run: RunFolder) -> None:
-    (scale,) = section_scale(run, np.array([[2.0, -3, 2], [15.0, -3, 2]])).values()
-    assert [scale.names[int(k)] for k in scale.values] == ["open\N{NO-BREAK SPACE}1", "bridge\N{NO-BREAK SPACE}1"]
-
-
-@pytest.mark.slow
-def test_what_cannot_be_read_is_left_out(folder: Path, tmp_path: Path, caplog) -> None:
-    empty = make_run(tmp_path / "run", until="georef")
-    (empty / "passes").mkdir()
-    (empty / "passes" / "differences.laz").write_bytes(b"no cloud")
-    assert distance_scales(read_run(empty, 100), np.zeros((1, 3))) == {}
-    assert "differences.laz cannot be read and is left out" in caplog.text
 
 
 @pytest.mark.slow

@@ -4,32 +4,22 @@ obliques. The interactive one: a thinned cloud, the cameras' paths and images, p
 
 import base64
 import json
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import cv2
-import laspy
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tiegraph.report.drawing import jpeg, shown_colours, thumbnail
 from tiegraph.report.maps import Scenery
-from tiegraph.report.parts import section_name
-from tiegraph.report.runfolder import RunFolder, some_of
+from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.texts import t
 from tiegraph.text import round_below
 
-log = logging.getLogger(__name__)
-_NEAR = 3.0  # a point has the value of a measured one within this distance, in spacings of these
-_FILES = {  # of measured distances: their name in the view, and whether they have a sign
-    "evaluate/distances.laz": ("distance to the reference cloud", False),
-    "passes/differences.laz": ("one pass against the other", True),
-}
 VIEW_PX = 1400  # width of the static views
 _IMAGES, _PICTURES = 5000, 90  # that the interactive view names, and shows
 _EDL_DEAD_PX = 0.7  # noise of a surface that is not shaded
@@ -164,42 +154,27 @@ def with_scale_bar(picture: np.ndarray, px_per_unit: float, unit: str) -> np.nda
 PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
 
 
-@dataclass(frozen=True, eq=False)
-class Scale:
-    """Colour scale of points (N,), NaN = not known: a value, ``signed`` if its zero is the middle of the colours, or
-    the number of one of ``names``."""
-
-    values: np.ndarray
-    signed: bool = False
-    names: tuple[str, ...] = ()
-
-    def packed(self, name: str, unit: str) -> dict[str, Any]:
-        """For the view: one byte a point, between the ends of the scale or as numbers; 255 = not known."""
-        known = np.isfinite(self.values)
-        out: dict[str, Any] = {"name": name, "unknown": not known.all()}
-        if self.names:
-            level = np.nan_to_num(self.values) % 255
-            out["kinds"] = [(n, PASSES[k % len(PASSES)]) for k, n in enumerate(self.names)]
-        else:  # the colours span 94 % of the values
-            low, high = np.quantile(self.values[known], [0.03, 0.97]).tolist()
-            high = max(abs(low), abs(high)) if self.signed else high
-            low = -high if self.signed else low
-            level = np.round(254 * np.clip((np.nan_to_num(self.values) - low) / max(high - low, 1e-12), 0, 1))
-            out |= {"low": low, "high": high, "unit": unit, "signed": self.signed}
-        return {**out, "values": _text(np.where(known, level, 255).astype(np.uint8))}
+def _packed(name: str, values: np.ndarray, unit: str) -> dict[str, Any]:
+    """A colour scale of points (N,), NaN = not known, for the view: one byte a point, 255 = not known. The colours span
+    94 % of the values."""
+    known = np.isfinite(values)
+    low, high = np.quantile(values[known], [0.03, 0.97]).tolist()
+    level = np.round(254 * np.clip((np.nan_to_num(values) - low) / max(high - low, 1e-12), 0, 1))
+    told = {"name": name, "unknown": not known.all(), "low": low, "high": high, "unit": unit}
+    return {**told, "values": _text(np.where(known, level, 255).astype(np.uint8))}
 
 
 def viewer_data(
     seen: Scenery,
     most: int,
-    scales: Mapping[str, Scale] = MappingProxyType({}),
+    scales: Mapping[str, np.ndarray] = MappingProxyType({}),
     images: Sequence[tuple[str, np.ndarray, str]] = (),
     offset: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> dict[str, Any] | None:
     """JSON-ready data of the view; None without points. Points far outside the others are left out and counted.
 
-    ``scales`` of the points by name; ``images``: name, place (3,), picture as data URI or ""; ``offset`` (3,) of
-    displayed coordinates. A point takes nine bytes, and one more for each scale.
+    ``scales``: values of the points (N,) by name; ``images``: name, place (3,), picture as data URI or ""; ``offset``
+    (3,) of displayed coordinates. A point takes nine bytes, and one more for each scale.
     """
     keep = np.flatnonzero(inliers(seen.xyz, 0.998, 0.3))
     if not len(keep) or most < 1:
@@ -209,8 +184,7 @@ def viewer_data(
     points = seen.xyz[keep]
     low = points.min(axis=0)
     step = max(float((points - low).max()), 1e-9) / 65535
-    every = {t("height"): Scale(points[:, 2] + offset[2])}
-    every |= {n: replace(s, values=s.values[keep]) for n, s in scales.items()}
+    every = {t("height"): points[:, 2] + offset[2], **{n: values[keep] for n, values in scales.items()}}
     middle = np.median(points, axis=0)  # centre of the first view, and its distance to most points
     reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.85))
     return {
@@ -219,7 +193,7 @@ def viewer_data(
         "step": step,
         "xyz": _text(np.round((points - low) / step).astype("<u2")),
         "rgb": _text(np.ascontiguousarray(shown_colours(points, seen.rgb[keep]), np.uint8)),
-        "scales": [s.packed(name, seen.unit) for name, s in every.items() if np.isfinite(s.values).any()],
+        "scales": [_packed(name, v, seen.unit) for name, v in every.items() if np.isfinite(v).any()],
         "tracks": [
             {"name": track.name, "colour": PASSES[k % len(PASSES)], "line": track.name != "images",
              "xyz": np.round(track.seen, 4).ravel().tolist()}
@@ -267,7 +241,8 @@ def viewer_part(run: RunFolder, seen: Scenery, most: int) -> dict[str, Any]:
     """Data and script of the interactive view."""
     rows = np.sort(np.random.default_rng(0).permutation(len(seen.xyz))[:most])
     some = replace(seen, xyz=seen.xyz[rows], rgb=seen.rgb[rows])
-    data = viewer_data(some, most, _scales(run, rows), _images(run, seen), run.shift.tolist())
+    scales = {} if run.cloud is None else {t("sigma of a point"): run.cloud.sigma_m[rows]}
+    data = viewer_data(some, most, scales, _images(run, seen), run.shift.tolist())
     if data is None:
         return {"viewer": None, "viewer_script": ""}
     return {"viewer": json.dumps(data).replace("<", "\\u003c"), "viewer_script": viewer_script()}
@@ -283,57 +258,3 @@ def _images(run: RunFolder, seen: Scenery) -> list[tuple[str, np.ndarray, str]]:
         made = thumbnail(run.path / "images" / run.scene.names[k], Path(), width=200) if int(k) in pictured else None
         out.append((run.scene.names[k], at, str(made[0]) if made else ""))
     return out
-
-
-def _scales(run: RunFolder, rows: np.ndarray) -> dict[str, Scale]:
-    if run.cloud is None:
-        return {}
-    xyz = run.cloud.xyz[rows]
-    sigma = {t("sigma of a point"): Scale(run.cloud.sigma_m[rows])}
-    return {**sigma, **distance_scales(run, xyz), **section_scale(run, xyz)}
-
-
-def distance_scales(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
-    """Distances measured near points (N, 3) of the world, by name; those of existing files."""
-    out = {}
-    for name, (text, signed) in _FILES.items():
-        path = run.path / name
-        if path.exists() and len(xyz):
-            try:
-                at, values = _measured(path)
-            except Exception as error:  # laspy raises what it meets
-                log.warning("report: %s cannot be read and is left out: %s", path, error)
-                continue
-            if len(at) > 1:
-                out[t(text)] = Scale(_nearest(at - run.shift, values, xyz), signed=signed)
-    return out
-
-
-def _measured(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points (K, 3) of the CRS and their ``distance_m`` (K,), every n-th of a large file."""
-    parts = [(np.zeros((0, 3)), np.zeros(0))]
-    with laspy.open(path) as reader:
-        for part in some_of(reader, 1_000_000):  # points of a file that are read
-            parts.append((np.column_stack([part.x, part.y, part.z]), np.asarray(part["distance_m"], float)))
-    xyz, values = (np.concatenate(column) for column in zip(*parts))
-    return xyz[np.isfinite(values)], values[np.isfinite(values)]
-
-
-def _nearest(at: np.ndarray, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-    """(N,) the value of the nearest measured point, NaN where none is near."""
-    tree = cKDTree(at)
-    reach = _NEAR * float(np.median(tree.query(at[:: max(1, len(at) // 5000)], k=2)[0][:, 1]))
-    row = tree.query(xyz, distance_upper_bound=max(reach, 1e-9))[1]
-    return np.append(values, np.nan)[row]  # one beyond the last where there is none
-
-
-def section_scale(run: RunFolder, xyz: np.ndarray) -> dict[str, Scale]:
-    """The section that points (N, 3) lie in, that of the nearest camera; {} where there are not several."""
-    assert run.scene is not None and run.model is not None
-    placed = np.flatnonzero(run.model.images.placed)
-    numbers, of_camera = np.unique(run.scene.section[run.scene.frame[placed]], return_inverse=True)
-    if len(numbers) < 2 or not len(xyz):
-        return {}
-    names = tuple(section_name(run, int(k)) for k in numbers)
-    nearest = cKDTree(run.model.centres[placed]).query(xyz)[1]
-    return {t("section"): Scale(of_camera[nearest].astype(float), names=names)}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -314,20 +314,15 @@ def read_model(folder: Path, scene: Scene, tuning: RegisteredTuning) -> Model | 
     )
 
 
-def some_of(reader: Any, most: int) -> Iterator[Any]:
-    """Every n-th point of an open LAS or LAZ file, chunk by chunk, at most about ``most``."""
-    step = max(1, -(-reader.header.point_count // most))
-    for chunk in reader.chunk_iterator(1_000_000):
-        yield chunk[::step]
-
-
 def read_cloud_sample(path: Path, most: int, origin: Origin | None) -> CloudSample | None:
     """Every n-th point of a LAS or LAZ file, at most ``most``, in the world of an origin; None if none is asked for."""
     if most < 1:
         return None
     with laspy.open(path) as reader:
-        parts = [Cloud.empty(), *(las_cloud(part, reader.header, origin) for part in some_of(reader, most))]
         count = reader.header.point_count
+        every = max(1, -(-count // most))
+        chunks = (las_cloud(chunk[::every], reader.header, origin) for chunk in reader.chunk_iterator(1_000_000))
+        parts = [Cloud.empty(), *chunks]
     xyz, rgb, sigma, views = (
         np.concatenate([getattr(part, column) for part in parts]) for column in ("xyz_m", "rgb", "sigma_m", "views")
     )

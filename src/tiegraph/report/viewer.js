@@ -135,14 +135,10 @@
     gl.linkProgram(p);
     return p;
   }
-  const diverging = [[59, 76, 192], [141, 176, 254], [221, 221, 221], [244, 154, 123], [180, 4, 38]]; // cool to warm
   const viridis = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
-  const stopsOf = (scale) => (scale.signed ? diverging : viridis);
   function scaleColours(scale) {
-    const values = bytes(scale.values), out = new Uint8Array(3 * n), stops = stopsOf(scale);
-    const kinds = scale.kinds && scale.kinds.map((k) => hex(k[1]));
+    const values = bytes(scale.values), out = new Uint8Array(3 * n), stops = viridis;
     for (let k = 0; k < n; k++) {
-      if (kinds) { out.set(kinds[values[k]] || [150, 150, 150], 3 * k); continue; }
       const u = values[k] / 254 * 4, i = Math.min(Math.floor(u), 3);
       for (let c = 0; c < 3; c++) out[3 * k + c] = values[k] === 255 ? 150 : stops[i][c] + (u - i) * (stops[i + 1][c] - stops[i][c]);
     }
@@ -152,10 +148,9 @@
     const out = holder.querySelector(".legend"), scale = looks[look];
     if (!out) return;
     out.textContent = scale.name;
-    if (scale.kinds) scale.kinds.forEach((k) => out.append("   ", swatch(k[1]), " " + k[0]));
-    else if (scale.values !== undefined) {
+    if (scale.values !== undefined) {
       const bar = document.createElement("i"), digits = scale.high - scale.low < 1 ? 3 : 1;
-      bar.style.background = "linear-gradient(to right," + stopsOf(scale).map((k) => "rgb(" + k.join(",") + ")").join(",") + ")";
+      bar.style.background = "linear-gradient(to right," + viridis.map((k) => "rgb(" + k.join(",") + ")").join(",") + ")";
       out.append("  " + scale.low.toFixed(digits) + " ", bar, " " + scale.high.toFixed(digits) + " " + scale.unit);
     }
     if (scale.unknown) out.append("   ", swatch("#969696"), " " + data.text.unknown);
