@@ -10,12 +10,12 @@ import pycolmap
 from matplotlib.figure import Figure
 
 from tiegraph.calibrate.adjust import Adjusted, view_residuals
-from tiegraph.calibrate.judge import CELLS, PLACE, TURN, Parameter, Precision, Verdict
+from tiegraph.calibrate.judge import CELLS, PLACE, TURN, Precision, Verdict
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import png
 from tiegraph.scene.targets import CENTRE
-from tiegraph.text import csv_text, one_line
+from tiegraph.text import one_line
 
 _CAMERA = ("views", "corners", "RMS px", "RMS held out px", "image covered", "largest tilt deg")
 _PLACES = (
@@ -87,21 +87,10 @@ def parameter_rows(exact: Precision, names: Sequence[str]) -> list[list[str]]:
     others = np.abs(exact.correlation - np.eye(len(exact.sigma)))
     for k, (parameter, sigma) in enumerate(zip(exact.parameters, exact.sigma)):
         most = int(np.argmax(others[k]))
+        other = exact.parameters[most]
         said = [f"{parameter.value:.9g}", f"{sigma:.2g}", f"{exact.correlation[k, most]:.2f}"]
-        rows.append([names[parameter.camera], parameter.name, *said, label(exact.parameters[most], names)])
+        rows.append([names[parameter.camera], parameter.name, *said, f"{names[other.camera]} {other.name}"])
     return rows
-
-
-def label(parameter: Parameter, names: Sequence[str]) -> str:
-    """Camera and name of a parameter."""
-    return f"{names[parameter.camera]} {parameter.name}"
-
-
-def correlation_csv(exact: Precision, names: Sequence[str]) -> str:
-    """All correlations as CSV."""
-    labels = [label(p, names) for p in exact.parameters]
-    rows = ([name, *(f"{v:.4f}" for v in row)] for name, row in zip(labels, exact.correlation))
-    return csv_text(["parameter", *labels], rows)
 
 
 def rig_sigmas(exact: Precision, camera: int) -> tuple[float, float]:

@@ -28,7 +28,6 @@ from tiegraph.calibrate.board import (
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.calibrate.summary import (
-    correlation_csv,
     kalibr_yaml,
     lengths,
     opencv_yaml,
@@ -271,7 +270,6 @@ def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig
     else:
         write_atomic(folder / "camchain.yaml", chain)
     pictures = {name: f"{stem}_residuals.png" for name, stem in zip(names, files)}
-    write_atomic(folder / "correlations.csv", correlation_csv(verdict.precision, names))
     write_atomic(folder / "rig_config.json", rig_config([rig]))
     write_atomic(folder / "summary.md", summary(done, verdict, board, notes, pictures))
     comment = f"Calibrated by tiegraph with the board {one_line(board)}: {len(done.seen.views)} views, sigma of a " \
