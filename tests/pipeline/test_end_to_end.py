@@ -205,7 +205,7 @@ def test_a_survey_without_a_cloud_and_a_reference_of_elsewhere_leave_the_model_a
 
 
 @pytest.mark.parametrize("preset", ["conventional", "meguro2024", "meguro2025"])
-def test_presets_run_to_a_model_and_compare(preset, finished, server, tmp_path):
+def test_presets_run_to_a_model(preset, finished, server, tmp_path):
     out = tmp_path / preset
     asked = ["run", finished.inputs / "images", "-o", out, "--pool", "serial", "--preset", preset, "--until", "sparse"]
     more = ["--masks.source", "none", "--rig", finished.inputs / "rig.toml", "--quiet"]
@@ -220,8 +220,6 @@ def test_presets_run_to_a_model_and_compare(preset, finished, server, tmp_path):
         pairs, fewer = (p.receipt("design")["counts"]["pairs"] for p in (project, ours))
         assert pairs == every and 0 < fewer < 0.8 * every
     assert project.preset == preset and 6 <= project.receipt("sparse")["counts"]["registered"] <= 12
-    compared = server.run(["compare", finished.clean["report"], out], tmp_path / "said", _PATIENCE_S)
-    assert compared.good and "Registered images" in compared.text and preset in compared.text, compared
 
 
 def test_another_method_on_the_same_images(project, survey, tmp_path, capsys):

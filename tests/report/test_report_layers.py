@@ -25,7 +25,6 @@ from tiegraph.report.cloudview import (
     standard_views,
     with_scale_bar,
 )
-from tiegraph.report.compare import compare_runs, compared, ratio
 from tiegraph.report.formatting import without_folders
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.parts import PASSES, about
@@ -365,84 +364,3 @@ def test_the_page_says_how_well_the_passes_agree(folder: Path) -> None:
     assert "<td>bridge\N{NO-BREAK SPACE}1</td>" in sure and f'"tables.{PASSES}.2.3">0.03' in sure
     assert page.count(f"tables.{PASSES}.0.2") == 1, "once, and not among the references"
     assert unmarked(page) == [] and f"tables.{PASSES}.0.3" in check(folder, page)
-    data = json.loads(page[page.index('id="viewer-data">') + 17 :].partition("</script>")[0])
-    assert [s["name"] for s in data["scales"]][2:] == [
-        "distance to the reference cloud", "one pass against the other", "section",
-    ]  # fmt: skip
-    signed = data["scales"][3]
-    assert signed["signed"] and signed["low"] == -signed["high"] and signed["unknown"]
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    base = tmp_path_factory.mktemp("runs")
-    return [make_run(base / "conventional", seed=2), make_run(base / "meguro2024")]
-
-
-@pytest.mark.slow
-def test_the_papers_tables(runs: list[Path]) -> None:
-    text = compare_runs(runs)
-    times = ("Mask image creation", "Matching list creation", "Feature matching", "MVS", "Total time")
-    figures = ("Registered images", "Dense points", "Candidates", "Verified", "Back-projection RMSE", "ATE after SE3")
-    for name in (*times, *figures, "conventional", "1.6 x", "round trip"):
-        assert name in text, name
-    assert "meguro2024" in text
-
-
-@pytest.mark.slow
-def test_sums_are_of_the_right_stages(runs: list[Path]) -> None:
-    wall = {name: values for name, values in compared(runs).blocks[0].rows}
-    parts = ("Mask image creation", "SfM, all of it", "MVS (dense and cloud)", "Scan, evaluation, report")
-    total = np.sum([wall[p] for p in parts], axis=0)
-    assert np.allclose(total, wall["Total time"])
-    sfm = ("Matching search", "Matching list creation", "Feature extraction", "Feature matching")
-    inside = np.sum([wall[p] for p in (*sfm, "Reconstruction and georeferencing")], axis=0)
-    assert np.allclose(inside, wall["SfM, all of it"])
-    assert wall["Total time"][0] > wall["Total time"][1]
-
-
-@pytest.mark.slow
-def test_unequal_runs_are_called_so(runs: list[Path], tmp_path: Path) -> None:
-    stopped = make_run(tmp_path / "stopped", "design")
-    scene = (stopped / "scene.json").read_text().replace("up/cam0/000000.jpg", "up/cam0/000000x.jpg")
-    (stopped / "scene.json").write_text(scene)
-    three = compared([*runs, stopped])
-    assert "The runs are on different images." in three.notes
-    points = {n: v for b in three.blocks for n, v in b.rows}["Dense points"]
-    assert points[0] == 40_000 and np.isnan(points[2])
-    assert "–" in compare_runs([*runs, stopped])
-
-
-@pytest.mark.slow
-def test_lengths_of_a_model_without_scale_are_not_called_metres(runs: list[Path], tmp_path: Path) -> None:
-    free = make_run(tmp_path / "free")
-    world = json.loads((free / "world.json").read_text())
-    bare = {"placed": False, "scale_from": "none", "crs": None, "origin": None}
-    (free / "world.json").write_text(json.dumps(world | bare))
-
-    def label(*folders: Path) -> str:
-        return next(n for b in compared(folders).blocks for n, _ in b.rows if n.startswith("Back-projection"))
-
-    assert label(*runs).endswith(", m")
-    assert label(free, free).endswith("units of the models")
-    assert "units" in label(runs[0], free) and "m, or" in label(runs[0], free)
-
-
-@pytest.mark.slow
-def test_names_are_told_apart_and_printed_letter_by_letter(tmp_path: Path) -> None:
-    folders = [make_run(tmp_path / a / "out", "scan") for a in ("a", "b")]
-    assert compared(folders).names == ("a/out", "b/out")
-    names = ("day [red]", "b:smile:")  # what colours text elsewhere
-    text = compare_runs([make_run(tmp_path / name, "scan") for name in names])
-    assert all(name in text for name in names)
-
-
-@pytest.mark.slow
-def test_one_run_or_none_is_refused(runs: list[Path], tmp_path: Path) -> None:
-    for folders, words in ((runs[:1], "at least two"), ([runs[0], tmp_path / "none"], "no such run folder")):
-        with refused(words):
-            compare_runs(folders)
-
-
-def test_ratio() -> None:
-    assert ratio((30.0, 10.0)) == "3.0 x" and ratio((1.0, 0.0)) == "–"

@@ -13,7 +13,6 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import Talk, options_of
 from tiegraph.cli.output import complain, say, show_table
 from tiegraph.export import Name
-from tiegraph.project.folder import check_format
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
 from tiegraph.project.stores import url_of
@@ -163,29 +162,12 @@ class Volume:
 
 
 @dataclass(frozen=True)
-class _Compare:
-    """Two or more run folders side by side: times, pairs, images used, points, errors.
-
-    With --epochs: what has changed between two surveys of one place (--epochs --help). With --passes: how well two
-    passes of one survey agree (--passes --help). With --baseline: another method on a block of a survey
-    (--baseline colmap --help).
-    """
-
-    runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Run folders made by `tiegraph run`."""
-
-    def run(self) -> int:
-        from tiegraph.report.compare import compare_runs
-
-        for run in self.runs:
-            check_format(run)
-        say(compare_runs(list(self.runs)).rstrip("\n"))
-        return 0
-
-
-@dataclass(frozen=True)
 class _Epochs:
-    """What has changed between two surveys of one place, by M3C2 with both surveys' sigmas."""
+    """What has changed between two surveys of one place, by M3C2 with both surveys' sigmas; `--epochs` may be said.
+
+    With --passes: how well two passes of one survey agree (--passes --help). With --baseline: another method on a block
+    of a survey (--baseline colmap --help).
+    """
 
     first: tyro.conf.Positional[Path]
     """The run folder of the earlier survey, whose constants ([tuning.evaluate]) count."""
@@ -254,11 +236,11 @@ class _Baseline:
 
 
 def compare(arguments: Sequence[str]) -> int:
-    """`tiegraph compare`: runs side by side; what has changed between two surveys; another method on a block."""
+    """`tiegraph compare`: what has changed between two surveys; another method on a block."""
     forms = {"--epochs": _Epochs, "--passes": _Passes, "--baseline": _Baseline}
     flag = next((f for f in forms if f in {a.partition("=")[0] for a in arguments}), "")
     rest = [a for a in arguments if a != flag or flag == "--baseline"]  # which has a value
-    return options_of(forms.get(flag, _Compare), f"tiegraph compare {flag}".strip(), rest).run()  # type: ignore[no-any-return]
+    return options_of(forms.get(flag, _Epochs), f"tiegraph compare {flag}".strip(), rest).run()  # type: ignore[no-any-return]
 
 
 def _say_changes(result: dict[str, Any], out: Path) -> int:

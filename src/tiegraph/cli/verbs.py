@@ -75,7 +75,7 @@ VERBS: dict[str, Verb] = {
     "demo": Verb("the example survey, from images to the report", "begin.Demo"),
     "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "begin.Init"),
     "status": Verb("which stages of a run folder are up to date, and why not", "results.Status"),
-    "compare": Verb("run folders side by side; --epochs: what has changed between two surveys", "results.compare"),
+    "compare": Verb("what has changed between two surveys; --passes: between two passes of one", "results.compare"),
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "surveys.Shots"),
     "stations": Verb("clouds of single shots, without poses, joined to one cloud", "surveys.Stations"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "surveys.Calibrate"),
