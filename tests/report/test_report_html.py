@@ -177,10 +177,11 @@ def test_funnel_rows_add_up(full: Path) -> None:
     counts = {name: n for name, n, _ in rows}
     names = [name for name, _, _ in rows]
     before = names.index("matched at full resolution")
-    gone = sum(n for name, n, _ in rows[:before] if network.is_loss(name))
+    gone = sum(n for name, n, _ in rows[:before] if name.startswith("dropped"))
     assert counts["candidates"] - gone == counts["matched at full resolution"] > counts["verified"] > 0
-    left = network.pairs_left(rows)
-    assert left[before] == counts["matched at full resolution"] and left[-1] == left[-2] == counts["verified"]
+    drawn = network.funnel(rows)
+    assert f"\N{RIGHTWARDS ARROW} {formatting.count(counts['matched at full resolution'])}<" in drawn
+    assert f"\N{RIGHTWARDS ARROW} {formatting.count(counts['verified'])}<" in drawn
 
 
 @pytest.mark.slow

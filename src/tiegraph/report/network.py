@@ -84,25 +84,15 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     return [*rows, *after, ("verified", len(tied(pairs)), "#0b4f6c")]
 
 
-def is_loss(name: str) -> bool:
-    """Whether a row of the funnel counts dropped pairs, not remaining ones."""
-    return name.startswith("dropped")
-
-
-def pairs_left(rows: Sequence[tuple[str, int, str]]) -> list[int]:
-    """Pairs left after each row of the funnel (paper 002, table 1)."""
-    out: list[int] = []
-    for name, value, _ in rows:
-        out.append(out[-1] - value if is_loss(name) and out else value)
-    return out
-
-
 def funnel(rows: Sequence[tuple[str, int, str]]) -> Markup:
     """The remaining pairs after every filter, with the dropped ones in their colour of the matrix."""
     drawn: list[tuple[str, Sequence[tuple[float, str]], str]] = []
-    for (name, value, colour), left in zip(rows, pairs_left(rows)):
+    left = 0
+    for name, value, colour in rows:
+        lost = name.startswith("dropped")
+        left = left - value if lost else value
         parts, end = [(left, colour)], formatting.count(left)
-        if is_loss(name):
+        if lost:
             parts = [(left, LIGHT), (value, colour)]
             end = f"\N{MINUS SIGN}{formatting.count(value)} \N{RIGHTWARDS ARROW} {end}"
         drawn.append((step_name(name), parts, end))
