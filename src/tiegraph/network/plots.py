@@ -30,7 +30,7 @@ MAX_LINES = 2500  # the strongest of each kind
 _BULGE = 0.28  # height of a short arc, as a share of its chord
 _HIGHEST = 0.11  # height of the longest arc, as a share of the map's longer side
 _ARC = np.linspace(0, 1, 13)
-_PAGE_IN, _HEAD_IN = 12.0, 0.75
+_PAGE_IN, _WORDS_IN = 12.0, 0.9
 KINDS = {"same camera": "#0072b2", "across cameras": "#009e73", "across passes": "#d55e00", "photographs": "#0072b2"}
 _PASSES = ("#222222", "#cc79a7", "#7a5c99", "#8a6d1f", "#56b4e9", "#8b949e")
 
@@ -77,9 +77,8 @@ def map_png(
     ties = {k: tie for k in KINDS if (tie := _aggregated(kept, scene, nodes, k)).pairs} or {
         "same camera": _aggregated(kept, scene, nodes, "same camera")
     }
-    page = _Page.make(nodes, len(ties))
-    for n, (kind, tie) in enumerate(ties.items()):
-        axes = page.panel(n)
+    figure, panels = _panels(nodes, len(ties))
+    for n, (axes, (kind, tie)) in enumerate(zip(panels, ties.items())):
         _lines(axes, nodes, tie, kind)
         _dots(axes, scene, nodes, kept)
         _names(axes, scene, nodes, named=n == 0)
@@ -87,8 +86,10 @@ def map_png(
         axes.set_title(f"{kind}: {grouped(tie.pairs)} pairs", fontsize=10, loc="left", color=KINDS[kind], pad=3)
         if n == 0 and not said:
             _scale_bar(axes, unit)
-    page.words(*_words(kept, scene, nodes, links, ties), said)
-    return png(page.figure)
+    title, more = _words(kept, scene, nodes, links, ties)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12)
+    figure.supxlabel(f"{said}\n{more}" if said else more, x=0.01, ha="left", fontsize=9, color=RED if said else INK)
+    return png(figure)
 
 
 def weak_pairs(table: dict, scene: Scene) -> np.ndarray:
@@ -165,55 +166,23 @@ def _aggregated(kept: Pairs, scene: Scene, nodes: _Nodes, kind: str) -> _Ties:
 # ---------------------------------------------------------------- drawing
 
 
-@dataclass(frozen=True)
-class _Page:
-    """Panels below each other where the map is wide, side by side where it is tall; all sizes in inches."""
-
-    figure: Figure
-    low: np.ndarray
-    high: np.ndarray
-    width: float
-    height: float
-    across: bool
-
-    @staticmethod
-    def make(nodes: _Nodes, count: int) -> "_Page":
-        place = nodes.place if len(nodes.place) else np.zeros((1, 2))
-        low, high = place.min(axis=0), place.max(axis=0)
-        room = (0.04 + _HIGHEST) * max(float((high - low).max()), 1e-9)
-        low, high = low - room, high + room
-        shape = float((high - low)[1] / (high - low)[0])
-        across = shape > 0.55
-        width = min(_PAGE_IN / count, 5.5) if across else _PAGE_IN
-        height = float(np.clip(shape * width, 1.8, 7.5))
-        size = (width, count * (height + 0.3) + _HEAD_IN + 0.3)
-        if across:
-            size = (max(width * count, 7.5), height + _HEAD_IN + 0.5)
-        figure = Figure(figsize=size, dpi=DPI)
-        return _Page(figure=figure, low=low, high=high, width=width, height=height, across=across)
-
-    def panel(self, n: int) -> Axes:
-        w, h = self.figure.get_size_inches()
-        left = n * self.width if self.across else 0.0
-        top = _HEAD_IN + 0.25 + (0 if self.across else n * (self.height + 0.3))
-        box = ((left + 0.08) / w, 1 - (top + self.height) / h, (self.width - 0.16) / w, self.height / h)
-        axes = self.figure.add_axes(box)
-        # The panel keeps its shape: the map is enlarged to it, so that lengths are equal in both directions.
-        span, middle = self.high - self.low, 0.5 * (self.low + self.high)
-        scale = max(span[0] / (self.width - 0.16), span[1] / self.height)
-        half = 0.5 * scale * np.array([self.width - 0.16, self.height])
-        axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
-        axes.set(xticks=[], yticks=[])
-        for spine in axes.spines.values():
-            spine.set_color("#dddddd")
-        return axes
-
-    def words(self, title: str, more: str, said: str) -> None:
-        h = float(self.figure.get_figheight())
-        left = 0.1 / float(self.figure.get_figwidth())
-        self.figure.text(left, 1 - 0.1 / h, title, fontsize=12, va="top")
-        self.figure.text(left, 1 - 0.34 / h, more, fontsize=8.5, va="top", color="#555555")
-        self.figure.text(left, 1 - 0.53 / h, said, fontsize=9, va="top", color=RED)
+def _panels(nodes: _Nodes, count: int) -> tuple[Figure, list[Axes]]:
+    """So many maps of the nodes, equal in both directions: below each other if they are wide, else side by side."""
+    place = nodes.place if len(nodes.place) else np.zeros((1, 2))
+    low, high = place.min(axis=0), place.max(axis=0)
+    room = (0.04 + _HIGHEST) * max(float((high - low).max()), 1e-9)
+    low, high = low - room, high + room
+    shape = float((high - low)[1] / (high - low)[0])
+    rows, columns = (1, count) if shape > 0.55 else (count, 1)
+    width = min(_PAGE_IN / columns, 5.5) if shape > 0.55 else _PAGE_IN
+    height = float(np.clip(shape * width, 1.8, 7.5)) + 0.3
+    size = max(width * columns, 7.5), rows * height + _WORDS_IN
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes in panels:
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[], aspect="equal")
+        axes.spines[:].set_color("#dddddd")
+    return figure, panels
 
 
 def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str) -> None:
@@ -306,27 +275,19 @@ def _scale_bar(axes: Axes, unit: str) -> None:
 
 # ---------------------------------------------------------------- sections
 
-_PANEL_IN = 2.2
-
 
 def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
     """One panel for each cue: its values by frame, the threshold of each pass, the sections as coloured bands."""
     frames = np.lexsort((scene.sequence_index, scene.sequence))
     frames = frames[np.any([np.isfinite(c.values[frames]) for c in cues], axis=0)]
-    height = 0.7 + _PANEL_IN * len(cues) + 0.5
-    figure = Figure(figsize=(10, height), dpi=DPI)
-    panel: Axes | None = None
-    for k, cue in enumerate(cues):
-        bottom = (0.5 + _PANEL_IN * (len(cues) - 1 - k) + 0.1) / height
-        panel = figure.add_axes((0.075, bottom, 0.91, (_PANEL_IN - 0.3) / height))
-        _bands(panel, scene, sections, frames, named=k == 0)
-        _values(panel, scene, cue, frames)
-        panel.tick_params(labelsize=8, labelbottom=k == len(cues) - 1)
-    if panel is not None:
-        panel.set_xlabel("frames of all passes in a row", fontsize=9)
-    figure.text(0.03, 1 - 0.28 / height, "Bridge and open sections by the up camera", fontsize=12)
+    figure = Figure(figsize=(10, 2.2 * len(cues) + 1), dpi=DPI, layout="constrained")
+    for k, (cue, axes) in enumerate(zip(cues, figure.subplots(len(cues), 1, sharex=True, squeeze=False).ravel())):
+        _bands(axes, scene, sections, frames, named=k == 0)
+        _values(axes, scene, cue, frames)
+        axes.tick_params(labelsize=8)
     key = "brown: bridge; blue: open sky; dashed: threshold of the pass (none: the cue was not used)"
-    figure.text(0.03, 1 - 0.5 / height, key, fontsize=8.5, color="#555555")
+    figure.suptitle("Bridge and open sections by the up camera", x=0.01, ha="left", fontsize=12)
+    figure.supxlabel(f"across: frames of all passes in a row; {key}", x=0.01, ha="left", fontsize=9, color=INK)
     return png(figure)
 
 
