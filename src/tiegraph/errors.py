@@ -1,6 +1,8 @@
 """The errors tiegraph raises: one root, and each text names the value at fault and the remedy."""
 
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 class TiegraphError(Exception):
@@ -40,6 +42,18 @@ class ProcessLost(ChildDied):
 
 class EngineMissing(TiegraphError, ImportError):
     """A chosen engine is not installed or has no such name."""
+
+
+def optional(module: str, extra: str, use: str, instead: str = "") -> Any:
+    """A module of a package that comes with an ``extra`` of tiegraph.
+
+    Raises EngineMissing if it is not installed: what needs it (``use``), how to install it, what to do ``instead``.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        package, remedy = module.partition(".")[0].replace("_", "-"), f"pip install 'tiegraph[{extra}]'{instead}"
+        raise EngineMissing(f"{use} needs {package}, which is not installed: {remedy}") from None
 
 
 def choose(kind: str, name: str, table: dict) -> object:

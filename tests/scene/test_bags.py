@@ -267,7 +267,7 @@ def test_files_that_are_no_bags_are_named(tmp_path: Path) -> None:
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = world.bag(tmp_path, "ros1", fixes())
-    monkeypatch.setitem(sys.modules, "rosbags", None)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     with pytest.raises(EngineMissing, match=r"run.bag: .*pip install 'tiegraph\[ros\]'"):
         read_gnss(path)
 

@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from said import refused
-from tiegraph.errors import TiegraphError
+from tiegraph.errors import EngineMissing, TiegraphError
 from tiegraph.geometry.geodesy import Origin, make_origin
 from tiegraph.scene import cloudchunks, cloudfile
 from tiegraph.scene.atomic import replacing, same_file
@@ -398,7 +398,7 @@ def test_e57_is_read_scan_by_scan(tmp_path: Path) -> None:
 def test_e57_without_its_reader_names_the_extra(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pye57", None)
     (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
-    with refused(r"pip install tiegraph\[e57\], or convert it to LAZ"):
+    with pytest.raises(EngineMissing, match=r"a.e57: .*pip install 'tiegraph\[e57\]'; LAZ needs nothing"):
         check_cloud(tmp_path / "a.e57")
 
 

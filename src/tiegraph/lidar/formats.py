@@ -8,7 +8,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import EngineMissing, InputError, optional
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.cloudfile import read_cloud, whole_las_header
 
@@ -55,15 +55,10 @@ def _read_bin(path: Path, columns: Sequence[str]) -> Points:
 
 
 def _read_pcd(path: Path, columns: Sequence[str]) -> Points:
-    try:
-        from pypcd4 import PointCloud
-    except ImportError:
-        raise EngineMissing(
-            f"{path}: PCD files are read by pypcd4, which is not installed: pip install 'tiegraph[lidar]'"
-        ) from None
+    pypcd4 = optional("pypcd4", "lidar", f"{path}: a file of PCD")
     regular(path, None)
     with _reading(path):
-        cloud = PointCloud.from_path(path)
+        cloud = pypcd4.PointCloud.from_path(path)
         if cloud.points != cloud.metadata.points:
             raise ValueError(f"{cloud.points} of {cloud.metadata.points} points are there")
         return points_of({f: cloud.pc_data[f] for f in cloud.fields if not f.startswith("__")}, str(path))

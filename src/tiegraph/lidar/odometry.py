@@ -9,12 +9,13 @@ moments, so that a step costs by planes and not by points; planes are eliminated
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import EngineMissing, InputError, ReconstructionError
+from tiegraph.errors import InputError, ReconstructionError, optional
 from tiegraph.lidar.scans import LEAST_POINTS, Scan, deskew, first_of_voxels, velocities, voxel_keys
 from tiegraph.lidar.tuning import AdjustTuning
 from tiegraph.scene.results import Cloud
@@ -72,18 +73,12 @@ def odometry(scans: Iterator[Scan], near_m: float, far_m: float) -> Iterator[Thi
 
 
 def _engine(far_m: float) -> Any:
-    try:
-        from kiss_icp.config import KISSConfig
-        from kiss_icp.kiss_icp import KissICP
-    except ImportError:
-        raise EngineMissing(
-            "LiDAR odometry is made by kiss-icp, which is not installed: pip install 'tiegraph[lidar]'"
-        ) from None
-    config = KISSConfig()
+    kiss_icp = optional("kiss_icp.kiss_icp", "lidar", "LiDAR odometry")
+    config = import_module("kiss_icp.config").KISSConfig()
     config.data.max_range, config.data.min_range, config.data.deskew = far_m, 0.0, True
     config.mapping.voxel_size = far_m / 100  # kiss-icp's own default
     config.registration.max_num_threads = 1
-    return KissICP(config)
+    return kiss_icp.KissICP(config)
 
 
 _MOST_POINTS = 20_000_000  # voxels held: 1 GiB

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError, optional
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import READERS, Points, points_of
@@ -182,12 +182,7 @@ def pcap_scans(path: Path) -> Iterator[tuple[float, Points]]:
 
     Raises EngineMissing without velodyne-decoder, and InputError for a file that it cannot read.
     """
-    try:
-        import velodyne_decoder
-    except ImportError:
-        raise EngineMissing(
-            f"{path}: .pcap files are read by velodyne-decoder, which is not installed: pip install 'tiegraph[lidar]'"
-        ) from None
+    velodyne_decoder = optional("velodyne_decoder", "lidar", f"{path}: a .pcap file")
     regular(path, None)
     try:
         for stamp, table in velodyne_decoder.read_pcap(str(path)):

@@ -22,7 +22,7 @@ from typing import Any
 
 import psutil
 
-from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
+from tiegraph.errors import InputError, SettingsError, TiegraphError, optional
 from tiegraph.project import daskworker
 from tiegraph.project.pool import Place
 from tiegraph.project.progress import Elsewhere
@@ -44,10 +44,7 @@ def open_dask(address: str, place: Place | None, end: Callable[[], Any] | None =
     executor has left it. Raises as ``open_pool``."""
     if not address:
         raise SettingsError("pool 'dask:': give the scheduler's address too, such as dask:tcp://127.0.0.1:8786")
-    try:
-        import distributed  # noqa: F401
-    except ImportError:
-        raise EngineMissing("the dask pool needs Dask: pip install 'tiegraph[dask]'") from None
+    optional("distributed", "dask", "the pool dask")
     quiet = Quiet()
     try:
         executor = DaskExecutor(connect(address), address, quiet, end)

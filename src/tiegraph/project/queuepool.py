@@ -6,8 +6,9 @@ import signal
 import time
 from concurrent.futures import Executor
 from contextlib import suppress
+from importlib import import_module
 
-from tiegraph.errors import EngineMissing, InputError, SettingsError
+from tiegraph.errors import InputError, SettingsError, optional
 from tiegraph.project.daskpool import Quiet, open_dask
 from tiegraph.project.pool import Place
 
@@ -17,15 +18,11 @@ def open_slurm(jobs: int, place: Place | None) -> tuple[Executor, int]:
     queue hours. Raises EngineMissing without dask-jobqueue, SettingsError if its file does not say what a job is,
     InputError if `sbatch` takes none, and as ``open_dask``."""
     stopping = signal.getsignal(signal.SIGINT)
-    try:
-        import dask
-        from dask_jobqueue import SLURMCluster
-    except ImportError:
-        raise EngineMissing("the slurm pool needs dask-jobqueue: pip install 'tiegraph[slurm]'") from None
+    jobqueue, config = optional("dask_jobqueue", "slurm", "the pool slurm"), import_module("dask").config
     signal.signal(signal.SIGINT, stopping)  # dask-jobqueue's own handler would end the run without a word
     try:
         # A worker makes one item at a time: as many as there are cores
-        cluster = SLURMCluster(processes=dask.config.get("jobqueue.slurm.cores", None) or 1)
+        cluster = jobqueue.SLURMCluster(processes=config.get("jobqueue.slurm.cores", None) or 1)
     except ValueError as error:
         raise SettingsError(
             f"pool slurm: {error} Say so in ~/.config/dask/jobqueue.yaml, below jobqueue, slurm: cores, memory, "

@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import EngineMissing, InputError, optional
 from tiegraph.limits import no_room
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import digest, take_away
@@ -123,12 +123,9 @@ def send(url: str, folder: Path, names: Sequence[str], reporter: Reporter) -> No
 def _opened(url: str) -> tuple[Any, str]:
     """fsspec's file system of a URL, and the path in it."""
     remedy = "pip install 'tiegraph[stores]' (s3, gs, http)"
+    fsspec = optional("fsspec.core", "stores", f"{url}: a store")
     try:
-        from fsspec.core import url_to_fs
-    except ImportError:
-        raise EngineMissing(f"{url}: stores are read by fsspec, which is not installed: {remedy}") from None
-    try:
-        return url_to_fs(url)  # type: ignore[no-any-return]
+        return fsspec.url_to_fs(url)  # type: ignore[no-any-return]
     except ImportError as error:
         raise EngineMissing(f"{url}: a package is missing: {remedy}, or for other stores: {error}") from None
     except ValueError as error:  # a protocol that it does not know

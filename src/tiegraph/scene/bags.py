@@ -13,10 +13,11 @@ counts; if it is not set, the second.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError, optional
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.names import clean
 from tiegraph.text import some
@@ -148,18 +149,13 @@ def open_bag(path: Path) -> Iterator[Bag]:
     Raises EngineMissing without ``rosbags``, and InputError for what cannot be opened: no bag, cut off, not indexed.
     """
     ros1 = path.suffix.lower() in ROS1 and not path.is_dir()
-    try:
-        from rosbags import rosbag1, rosbag2
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise EngineMissing(
-            f"{clean(str(path))}: bags are read by rosbags, which is not installed: pip install 'tiegraph[ros]'"
-        ) from None
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    rosbags = optional("rosbags.rosbag1" if ros1 else "rosbags.rosbag2", "ros", f"{clean(str(path))}: a bag of ROS")
+    types = import_module("rosbags.typesys")
+    store = types.get_typestore(types.Stores.ROS1_NOETIC if ros1 else types.Stores.LATEST)
     with _reading(path):
         for file in [f for f in path.iterdir() if f.suffix] if path.is_dir() else [path]:
             regular(file, None)
-        reader: Any = rosbag1.Reader(path) if ros1 else rosbag2.Reader(path)
+        reader = rosbags.Reader(path)
         reader.open()
     try:
         yield Bag(path, reader, store.deserialize_ros1 if ros1 else store.deserialize_cdr)

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import laspy
 import matplotlib
 import numpy as np
 import pyproj
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError, optional
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
 from tiegraph.scene.atomic import regular, replacing
 from tiegraph.scene.cloudfile import las_header, ply_parts, shift_of, whole_las_header, write_records
@@ -110,7 +111,7 @@ def check_cloud(path: Path) -> None:
             raise InputError(f"{path}: its header announces 0 points: give a file with points")
         las_crs(path)
     if kind == ".e57":
-        _e57_module(path)
+        _pye57(path)
 
 
 def las_crs(path: Path) -> str | None:
@@ -179,16 +180,12 @@ def _ply(path: Path) -> Iterator[Points]:
         yield Points(np.column_stack([rows[c].astype(float) for c in "xyz"]), sigma)
 
 
-def _e57_module(path: Path) -> object:
-    try:
-        import pye57
-    except ImportError:
-        raise InputError(f"{path}: E57 files need pye57: pip install tiegraph[e57], or convert it to LAZ") from None
-    return pye57
+def _pye57(path: Path) -> Any:
+    return optional("pye57", "e57", f"{path}: a file of E57", instead="; LAZ needs nothing")
 
 
 def _e57(path: Path) -> Iterator[Points]:
-    file = _e57_module(path).E57(str(path))  # type: ignore[attr-defined]
+    file = _pye57(path).E57(str(path))
     for scan in range(file.scan_count):
         found = file.read_scan(scan, ignore_missing_fields=True)
         xyz = np.column_stack([found["cartesianX"], found["cartesianY"], found["cartesianZ"]]).astype(float)
@@ -238,13 +235,7 @@ def write_e57(clouds: Iterable[Cloud], path: Path) -> int:
     pye57 keeps single precision about the place of a scan: its middle, in whole metres. Raises EngineMissing without
     pye57, InputError for a full disk.
     """
-    try:
-        import pye57
-    except ImportError:
-        raise EngineMissing(
-            f"{path}: E57 is written by pye57, which is not installed: pip install 'tiegraph[e57]'"
-        ) from None
-    count = 0
+    pye57, count = _pye57(path), 0
     with replacing(path) as temporary, pye57.E57(str(temporary), mode="w") as file:
         for number, cloud in enumerate(clouds, 1):
             place = np.round((cloud.xyz_m + shift_of(cloud.origin)).mean(axis=0))

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError, optional
 from tiegraph.scene.atomic import cached_by_file
 
 
@@ -11,10 +11,7 @@ from tiegraph.scene.atomic import cached_by_file
 def session(onnx: Path, setting: str) -> Any:
     """A session of ONNX Runtime, on one thread. Raises InputError for a file that is no model, EngineMissing without
     ONNX Runtime, which ``setting`` needs."""
-    try:
-        import onnxruntime
-    except ImportError:
-        raise EngineMissing(f"{setting} needs ONNX Runtime: pip install 'tiegraph[onnx]'") from None
+    onnxruntime = optional("onnxruntime", "onnx", setting)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # images run side by side already
     options.enable_cpu_mem_arena = False  # it would keep the memory of every image

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.errors import EngineMissing, InputError
+from tiegraph.errors import InputError, optional
 from tiegraph.scene.cells import number
 
 Layer = list[dict[str, Any]]
@@ -30,13 +30,9 @@ def collection(features: Layer) -> str:
 
 def gdal(what: str, instead: str) -> Any:
     """pyogrio's functions. Raises EngineMissing, which says that ``what`` needs them and what to do ``instead``."""
-    try:
-        from pyogrio import raw, set_gdal_config_options
-    except ImportError:
-        text = f"{what} needs pyogrio: pip install 'tiegraph[gis]' (or pip install pyogrio); {instead}"
-        raise EngineMissing(text) from None
-    set_gdal_config_options({"OGR_CURRENT_DATE": _WRITTEN})
-    return raw
+    pyogrio = optional("pyogrio", "gis", what, instead=instead and f"; {instead}")
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _WRITTEN})
+    return pyogrio.raw
 
 
 def write_layer(raw: Any, path: Path, name: str, features: Layer, crs: str) -> None:

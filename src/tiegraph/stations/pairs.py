@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiegraph.errors import EngineMissing
+from tiegraph.errors import optional
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length, robust_sigma
 from tiegraph.geometry.coarse import Shape, motions, normals, shape_of, side_for, thinned
@@ -151,11 +151,7 @@ def _sample(shot: Shot, middle: np.ndarray) -> Sample:
 
 def engine() -> Any:
     """The module small_gicp. Raises EngineMissing without it."""
-    try:
-        import small_gicp
-    except ImportError:
-        raise EngineMissing("clouds are laid on each other by small_gicp: pip install tiegraph[stations]") from None
-    return small_gicp
+    return optional("small_gicp", "stations", "the registration of clouds")
 
 
 def spacing_of(xyz: np.ndarray, from_origin: bool) -> np.ndarray:
