@@ -1,11 +1,10 @@
 """Shapes of surveys: where the rig stands at each frame, and the surfaces it sees; its frames as waypoints: CSV in
-local metres, and with a place on the Earth GeoJSON and KML.
+local metres, and with a place on the Earth KML.
 
 World: x along the first way, y to its left, z up, metres. Body: x right, y down, z forward, which is along the way in
 canal, road, corridor and tunnel, to the surface at facade and orbit, and down over a grid (its top then points ahead).
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
@@ -259,30 +258,14 @@ def waypoint_csv(path: Path, anchor: Anchor | None) -> str:
     return csv_text(*_waypoints(path, anchor))
 
 
-def _places(path: Path, anchor: Anchor) -> list[tuple[dict, list[list[float]]]]:
-    """What is said of each leg and of each frame, and its places (longitude, latitude, height on WGS84)."""
-    columns, rows = _waypoints(path, anchor)
-    facts = [dict(zip(columns, row)) for row in rows]
-    at = [[f.pop("longitude"), f.pop("latitude"), f["height_m"]] for f in facts]
-    legs = [({"leg": name}, [p for p, k in zip(at, path.leg) if k == leg]) for leg, name in enumerate(path.legs)]
-    return [*legs, *((f, [p]) for f, p in zip(facts, at))]
-
-
-def waypoint_geojson(path: Path, anchor: Anchor) -> str:
-    """A line for each leg and a point for each frame (RFC 7946: longitude, latitude, height on WGS84)."""
-    features = []
-    for facts, at in _places(path, anchor):
-        geometry = {"type": "LineString" if len(at) > 1 else "MultiPoint", "coordinates": at}
-        geometry = {"type": "Point", "coordinates": at[0]} if "number" in facts else geometry
-        features.append({"type": "Feature", "geometry": geometry, "properties": facts})
-    return json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n"
-
-
 def waypoint_kml(path: Path, anchor: Anchor) -> str:
     """Legs and frames for map programs (OGC KML 2.2, absolute heights)."""
+    places = np.round(anchor.coordinates(path.centres)[0], 9)[:, [1, 0, 2]].tolist()
+    legs = [
+        ("LineString", escape(n), [p for p, k in zip(places, path.leg) if k == leg]) for leg, n in enumerate(path.legs)
+    ]
     marks = []
-    for facts, at in _places(path, anchor):
-        kind, name = ("Point", facts["number"]) if "number" in facts else ("LineString", escape(facts["leg"]))
+    for kind, name, at in [*legs, *(("Point", str(k), [p]) for k, p in enumerate(places, 1))]:
         where = f"<coordinates>{' '.join(','.join(map(str, p)) for p in at)}</coordinates>"
         shape = f"<{kind}><altitudeMode>absolute</altitudeMode>{where}</{kind}>"
         marks.append(f"<Placemark><name>{name}</name>{shape}</Placemark>")

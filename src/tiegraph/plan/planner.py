@@ -8,30 +8,19 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tiegraph.errors import InputError
 from tiegraph.plan.accuracy import PathPlan, Propagate, plan_path
 from tiegraph.plan.figures import Effort, Lens, Station, advice, effort, station
 from tiegraph.plan.network import MountedCamera
-from tiegraph.plan.path import (
-    WAYS,
-    Anchor,
-    Course,
-    make_path,
-    read_anchor,
-    waypoint_csv,
-    waypoint_geojson,
-    waypoint_kml,
-)
+from tiegraph.plan.path import WAYS, Anchor, Course, make_path, read_anchor, waypoint_csv, waypoint_kml
 from tiegraph.plan.request import PlanRequest, numbers
 from tiegraph.scene.results import png
-from tiegraph.scene.sorting import evenly
 from tiegraph.text import csv_text
 
 _DPI = 130
-_POINT, _INK = "#b8c0c8", "#2a3138"
+_INK = "#2a3138"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 FORMAT = 1
 
@@ -80,9 +69,8 @@ class Plan:
         if len(self.stations) > 1:
             out["sweep.png"] = sweep_picture(self.groups, self.wanted_m)
         if self.path is not None:
-            out |= {"path.png": path_picture(self.path), "waypoints.csv": waypoint_csv(self.path.path, self.anchor)}
+            out["waypoints.csv"] = waypoint_csv(self.path.path, self.anchor)
             if self.anchor is not None:
-                out["waypoints.geojson"] = waypoint_geojson(self.path.path, self.anchor)
                 out["waypoints.kml"] = waypoint_kml(self.path.path, self.anchor)
         return out
 
@@ -176,45 +164,6 @@ def sweep_picture(groups: Sequence[tuple[str, Sequence[Station]]], wanted_m: flo
         axes.grid(color="#e4e7eb")
     left.legend(frameon=False, fontsize=8)
     return png(figure)
-
-
-def path_picture(plan: PathPlan) -> bytes:
-    """PNG: from above and from the side, frames coloured by their sigma, viewing directions, points, fixes."""
-    e = plan.expected
-    sigma, what = (e.world, "in the world") if plan.known.placed else (e.shape, "in shape")
-    centres = plan.path.centres
-    points = np.array([p.xyz for p in plan.network.model.points3D.values()])
-    fixes = np.array([f.place for f in plan.known.fixes]).reshape(-1, 3)
-    figure = Figure(figsize=(9.0, 7.2), dpi=_DPI, layout="constrained")
-    top, side = figure.subplots(2, 1)
-    for axes, (a, b), names in ((top, (0, 1), ("x, m", "y, m")), (side, (0, 2), ("x, m", "z, m"))):
-        axes.plot(points[:, a], points[:, b], ".", ms=1.5, color=_POINT, zorder=1)
-        _rays(axes, plan, (a, b))
-        for leg in range(len(plan.path.legs)):
-            own = plan.path.leg == leg
-            axes.plot(centres[own, a], centres[own, b], "-", lw=0.8, color=_INK, zorder=2)
-        if len(fixes):
-            axes.plot(fixes[:, a], fixes[:, b], "+", ms=6, color="#009e73", zorder=3, label="fixes")
-        shown = axes.scatter(
-            centres[e.frames, a], centres[e.frames, b], c=1000 * sigma, s=16, cmap="plasma_r", vmin=0, zorder=4
-        )  # colours from nought: what hardly differs looks alike
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set(xlabel=names[0], ylabel=names[1])
-        axes.grid(color="#e4e7eb")
-    figure.colorbar(shown, ax=[top, side], shrink=0.7, label=f"sigma of the position {what}, mm")
-    top.set_title("from above", loc="left", fontsize=10)
-    side.set_title("from the side", loc="left", fontsize=10)
-    return png(figure)
-
-
-def _rays(axes: Axes, plan: PathPlan, of: tuple[int, int]) -> None:
-    reach = 0.05 * float(np.linalg.norm(np.ptp(plan.path.centres, axis=0)))
-    some = evenly(len(plan.path), 12)
-    for pose in plan.path.world_from_body[some]:
-        for camera in plan.cameras:
-            way = reach * pose[:3, :3] @ camera.sensor_from_body[2, :3]
-            start, end = pose[:3, 3], pose[:3, 3] + way
-            axes.plot([start[of[0]], end[of[0]]], [start[of[1]], end[of[1]]], "-", lw=0.5, color="#6b7280", zorder=2)
 
 
 # What is compared: name, key in the plan and in what was reached, factor to the unit that is shown.
