@@ -1,5 +1,7 @@
 """The errors tiegraph raises: one root, and each text names the value at fault and the remedy."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -54,6 +56,18 @@ def optional(module: str, extra: str, use: str, instead: str = "") -> Any:
     except ImportError:
         package, remedy = module.partition(".")[0].replace("_", "-"), f"pip install 'tiegraph[{extra}]'{instead}"
         raise EngineMissing(f"{use} needs {package}, which is not installed: {remedy}") from None
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Whatever a library raises of a damaged file or folder becomes an InputError: it is no readable ``kind``."""
+    try:
+        yield
+    except TiegraphError:
+        raise
+    except Exception as error:  # each library has classes of its own, also of damage
+        why = str(error).partition("\n")[0] or type(error).__name__  # libE57 writes a page
+        raise InputError(f"{path}: not a readable {kind}: {why}; is it cut off? Copy or export it again") from error
 
 
 def choose(kind: str, name: str, table: dict) -> object:

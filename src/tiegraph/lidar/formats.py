@@ -1,14 +1,13 @@
 """One scan a file: KITTI's .bin, PCD, PLY, NPZ, LAS and LAZ."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import laspy
 import numpy as np
 
-from tiegraph.errors import EngineMissing, InputError, optional
+from tiegraph.errors import InputError, optional, reading
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.cloudfile import read_cloud, whole_las_header
 
@@ -57,7 +56,7 @@ def _read_bin(path: Path, columns: Sequence[str]) -> Points:
 def _read_pcd(path: Path, columns: Sequence[str]) -> Points:
     pypcd4 = optional("pypcd4", "lidar", f"{path}: a file of PCD")
     regular(path, None)
-    with _reading(path):
+    with reading(path, "scan"):
         cloud = pypcd4.PointCloud.from_path(path)
         if cloud.points != cloud.metadata.points:
             raise ValueError(f"{cloud.points} of {cloud.metadata.points} points are there")
@@ -66,7 +65,7 @@ def _read_pcd(path: Path, columns: Sequence[str]) -> Points:
 
 def _read_npz(path: Path, columns: Sequence[str]) -> Points:
     regular(path, None)
-    with _reading(path), np.load(path) as data:
+    with reading(path, "scan"), np.load(path) as data:
         key = next((k for k in data.files if k in _XYZ), None)
         time = next((in_time(data[k]) for k in data.files if k in TIME_COLUMNS), None)
         xyz = None if key is None else data[key][:, :3].astype(float) * _XYZ[key]
@@ -79,23 +78,12 @@ def _read_npz(path: Path, columns: Sequence[str]) -> Points:
 
 
 def _read_las(path: Path, columns: Sequence[str]) -> Points:
-    with _reading(path):
+    with reading(path, "scan"):
         whole_las_header(regular(path, None))
         las = laspy.read(path)
         xyz = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(float)
         time = np.asarray(las.gps_time, float) if "gps_time" in las.point_format.dimension_names else None
     return Points(xyz, time if time is not None and len(time) and np.ptp(time) > 0 else None)
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """What libraries raise of a damaged file, as an InputError."""
-    try:
-        yield
-    except (InputError, EngineMissing):
-        raise
-    except Exception as error:
-        raise InputError(f"{path}: cannot be read as a scan: {error or type(error).__name__}") from error
 
 
 READERS: dict[str, Callable[[Path, Sequence[str]], Points]] = {

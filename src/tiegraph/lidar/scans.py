@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.errors import InputError, optional
+from tiegraph.errors import InputError, optional, reading
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.lidar.formats import READERS, Points, points_of
@@ -184,11 +184,9 @@ def pcap_scans(path: Path) -> Iterator[tuple[float, Points]]:
     """
     velodyne_decoder = optional("velodyne_decoder", "lidar", f"{path}: a .pcap file")
     regular(path, None)
-    try:
+    with reading(path, "recording of a Velodyne"):
         for stamp, table in velodyne_decoder.read_pcap(str(path)):
             yield float(getattr(stamp, "host", stamp)), Points(table[:, :3].astype(float), table[:, 4].astype(float))
-    except Exception as error:  # dpkt raises what is no child of OSError or ValueError
-        raise InputError(f"{path}: cannot be read as packets of a Velodyne: {error}") from error
 
 
 def bag_scans(path: Path) -> Iterator[tuple[float, Points]]:

@@ -5,7 +5,6 @@ LAS or LAZ 1.4 (extra dimensions of 32 bits, colours by the first), scans as E57
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -16,7 +15,7 @@ import matplotlib
 import numpy as np
 import pyproj
 
-from tiegraph.errors import InputError, optional
+from tiegraph.errors import InputError, optional, reading
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
 from tiegraph.scene.atomic import regular, replacing
 from tiegraph.scene.cloudfile import las_header, ply_parts, shift_of, whole_las_header, write_records
@@ -105,7 +104,7 @@ def check_cloud(path: Path) -> None:
     if not first.startswith(_FIRST_BYTES[kind]):
         raise InputError(f"{path}: not a readable point cloud: no {kind[1:].upper()} file by its content")
     if kind in (".las", ".laz"):
-        with _reading(path):
+        with reading(path, "point cloud"):
             count = whole_las_header(path).point_count
         if not count:
             raise InputError(f"{path}: its header announces 0 points: give a file with points")
@@ -136,22 +135,10 @@ def las_crs(path: Path) -> str | None:
     return name
 
 
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Errors of libraries for a damaged file as an InputError that names it."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        why = str(error).partition("\n")[0]  # libE57 writes a page
-        raise InputError(f"{path}: not a readable point cloud: {why}; is it cut off? Copy or export it again") from None
-
-
 def _checked(path: Path, read: Callable[[Path], Iterator[Points]]) -> Iterator[Points]:
     parts, seen = read(path), 0
     while True:
-        with _reading(path):
+        with reading(path, "point cloud"):
             part = next(parts, None)
         if part is None:
             break

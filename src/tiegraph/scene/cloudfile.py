@@ -13,7 +13,7 @@ import laspy
 import numpy as np
 import pyproj
 
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, reading
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, parse_crs
 from tiegraph.scene.atomic import regular, replacing
 from tiegraph.scene.results import Cloud
@@ -59,7 +59,7 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
-    try:
+    with reading(path, "point cloud"):
         regular(path, None)
         if path.suffix.lower() == ".ply":
             return _read_ply(path, origin)
@@ -67,10 +67,6 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
             whole_las_header(path)
             las = laspy.read(path)
             return las_cloud(las.points, las.header, origin)
-    except InputError:
-        raise
-    except Exception as error:  # laspy and lazrs raise many kinds for damaged files
-        raise InputError(f"{path} cannot be read as a point cloud: {type(error).__name__}: {error}") from error
     raise InputError(f"{path}: clouds are read from .laz, .las or .ply")
 
 

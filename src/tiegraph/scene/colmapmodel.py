@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, reading
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.atomic import regular, scratch_folder
@@ -27,7 +27,6 @@ from tiegraph.scene.results import Model
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
-from tiegraph.text import one_line
 
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
 MAX_IMAGES = 2147483647
@@ -48,14 +47,10 @@ def read_model(folder: Path | str) -> Model:
         _check(folder / f"{name}.bin", end_of)
         _check(folder / f"{name}.txt", None)
     text = (folder / "images.txt").exists() and not (folder / "images.bin").exists()
-    try:
+    with reading(folder, "COLMAP model"):
         model = _read_text(folder) if text else Model(str(folder))
         for image in model.images.values():
             check_text(image.name, "image")  # read here: one that is not UTF-8 is an error of its own
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{folder}: not a readable COLMAP model: {one_line(str(error))}") from None
     return model
 
 
