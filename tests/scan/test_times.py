@@ -34,7 +34,6 @@ from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.times import out_of_order
 
 START = 1714564800.0  # 2024-05-01 12:00:00 UTC
 STEP_DEG = 10 / 111_000  # 10 m to the north, which is the speed a second
@@ -166,8 +165,6 @@ def test_times_that_cannot_be_meant(one_pass: Survey, tmp_path: Path, text: str,
         (times_text("down,000001,5"), r"line 10: 1 of 9 rows name frames or images that are not here, such as down/1"),
         (times_text("up,99,500"), r"line 10: 1 of 9 rows .* such as up/99"),
         (times_text("up,3,103"), r"line 10: up/3 is listed twice, with one time"),
-        (times_text("up,000007,106", frames=7), r"line 8, 9: two frames of one pass have the time 106 s"),
-        (times_text("up,000007,107000", frames=7), r"line 9: time 107000 s is far from the 103.5 s of its pass"),
         ("image,time\nup/cam0/000001.jpg,1\nup/cam1/000001.jpg,31\nup/cam0/000002.jpg,40\n",
          r"line 2, 3: images of one frame are 30.00 s apart"),
     ],
@@ -243,14 +240,6 @@ def test_times_by_image_and_frames_in_time_order(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_times_in_names(stem: str, seconds: float) -> None:
     assert time_in_name(stem) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
-
-
-@pytest.mark.parametrize(
-    "times, odd", [([0, 1, 90, 3, 4], [2]), ([9, 1, 2, 3], [0]), ([0, 1, 3, 2, 4], [3]), ([5, 4, 3, 2], [1, 2, 3]),
-                   ([0, 1, 1, 2], []), ([], [])]
-)  # fmt: skip
-def test_a_time_too_large_is_blamed_itself(times: list[float], odd: list[int]) -> None:
-    assert out_of_order(np.array(times, float)).tolist() == odd
 
 
 def drive(frames: int, turn_deg: float = 60.0) -> np.ndarray:

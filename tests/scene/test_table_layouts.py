@@ -117,7 +117,7 @@ def test_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
     assert found.lat_lon_height.tolist() == [[35, 139, 40], [35.001, 139.001, 41]]
     assert found.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2))
     assert len(found.notes) == 1 and found.notes[0].startswith("g.txt: columns read: ")
-    assert ("; passed over, though it may count: q (a fix: 2 of '1')" in found.notes[0]) == (text[0] == "q")
+    assert ("; passed over: q" in found.notes[0]) == (text[0] == "q")
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,6 @@ def test_positions_at_times(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(found.time_s, [NOON, NOON + 1], rtol=0, atol=1e-6)
     if name == "Inertial Explorer":
         np.testing.assert_allclose(found.sigma_m, [[0.01, 0.02, 0.03]] * 2)
-        assert any("q (a fix: 2 of '1')" in n for n in found.notes)
 
 
 WRONG = [
@@ -295,7 +294,7 @@ def test_emlid_degrees_with_the_height_above_the_ellipsoid(tmp_path: Path) -> No
     assert found.geographic and found.marks[0].image == "DJI 0001 (2).JPG"
     said = "\n".join(found.notes)
     assert "places by latitude, longitude and ellipsoidal height; for easting, northing and height put a line" in said
-    assert "solution_status (a fix: 1 of 'FIX')" in said and "tilt_angle (an angle)" in said
+    assert "solution_status" in said and "tilt_angle" in said
 
 
 @pytest.mark.parametrize("degrees", [True, False])
@@ -385,9 +384,7 @@ def test_bars_say_their_columns(tmp_path: Path) -> None:
     found = read_gcps(path)
     assert found.bars[0].length_m == pytest.approx(1.2005)
     (said,) = (n for n in found.notes if "length" in n)
-    assert said.endswith(
-        "read: from, to, length_mm (length); passed over, though it may count: datum (a datum: 1 of 'x')"
-    )
+    assert said.endswith("read: from, to, length_mm (length); passed over: datum")
 
 
 # --- trajectories ---------------------------------------------------------------------------------------------------
@@ -420,7 +417,7 @@ def test_a_trajectory_by_dates_in_millimetres(tmp_path: Path) -> None:
     found = read_poses(path)
     np.testing.assert_allclose(found.time_s, [NOON, NOON + 1])
     assert found.poses[1, 0, 3] == pytest.approx(1.0005)
-    assert any("status (a fix: 2 of 'ok')" in n for n in found.notes)
+    assert says(found.notes, "passed over: status")
 
 
 def test_every_program_of_the_reference_is_tested() -> None:

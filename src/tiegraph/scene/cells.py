@@ -193,28 +193,12 @@ ROLES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 SIGMAS = ("horizontal sigma", "sigma", "sigma to the east", "sigma to the north", "vertical sigma")
 _KNOWN = {word for role, words in ROLES.items() for word in words if role != "crs"} | {"ts"}
+
+
 # Kinds of columns that change the meaning of the others.
-_SPEAKS = {
-    "an angle": {"yaw", "pitch", "roll", "heading", "omega", "phi", "kappa", "azimuth", "tilt", "course", "bearing"},
-    "a hemisphere": {"hemi", "hemisphere", "ref", "ns", "ew"},
-    "a unit": {"unit", "units", "einheit"},
-    "a fix": {"fix", "fixtype", "quality", "q", "status", "solution", "mode"},
-    "a sigma": {"sigma", "std", "stdev", "sd", "sde", "sdn", "sdu", "rms", "hrms", "vrms", "acc", "accuracy", "error",
-                "hacc", "vacc"},
-    "a height": {"height", "alt", "altitude", "elevation", "elev", "z", "hae", "msl", "ellh", "h"},
-    "a datum": {"datum", "crs", "cs", "epsg", "geoid", "undulation", "frame", "zone"},
-}  # fmt: skip
-
-
 def known_words(columns: tuple[str, ...]) -> int:
     """How many columns have a name that some table knows, without their units."""
     return sum(c in _KNOWN or without_unit(c)[0] in _KNOWN for c in columns)
-
-
-def speaks_of(column: str) -> str:
-    """The kind of a column, such as "a fix", that may change the meaning of others; "" if none."""
-    words = set(column.split("_"))
-    return next((what for what, own in _SPEAKS.items() if words & own), "")
 
 
 _SUFFIX = re.compile(rf"(.+?)(?:_in)?_({'|'.join([*UNIT_M, *UNIT_S, 'deg', 'degrees'])})")

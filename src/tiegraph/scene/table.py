@@ -5,7 +5,6 @@ or in a line of their own. Without one, the reader of the table decides by the c
 """
 
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +23,6 @@ from tiegraph.scene.cells import (
     length_m,
     number,
     plain,
-    speaks_of,
     without_unit,
 )
 from tiegraph.scene.textfile import (
@@ -42,7 +40,6 @@ from tiegraph.text import some
 _HALVES = ("{}_ref", "{}ref", "{}_hemisphere", "{}_hemi", "{}_dir", "{}_direction")  # of the column of an angle
 _TIMES = ("time", "GPS time", "seconds since 1980", "seconds of the week")
 _LEVELS = re.compile(r"(?i).*(msl|asl|hae|ell|geoid|ortho|egm|navd|wgs|level|datum).*")  # in brackets, and no units
-_LISTED = ("a fix", "a unit", "a datum")  # of which the values are said
 Rows = Sequence[tuple[int, tuple[str, ...]]]
 Layout = Callable[[Sequence[tuple[str, ...]]], tuple[str, ...]]
 """Names of the columns of rows without a header; () if undecided."""
@@ -161,35 +158,25 @@ class Table:
         return some_lines([self.line(k) for k in rows])
 
     def said(self, used: Mapping[str, int | None]) -> str:
-        """The use of the columns, and which are not used; of these, those that may change the others' meaning
-        with their commonest values.
+        """The use of the columns, and which are not used.
 
         Raises InputError for a column of letters N and S, or E and W, that is none of those used.
         """
         roles = {k: role for role, k in used.items() if k is not None}
-        read, over, odd = [], [], []
+        read, over = [], []
         for k, name in enumerate(self.columns):
             unit = f" [{self.units[k]}]" if self.units[k] else ""
             if k in roles:
                 read.append(name + unit + ("" if roles[k].replace(" ", "_").startswith(name) else f" ({roles[k]})"))
-            elif name and (what := speaks_of(name)):
-                odd.append(f"{name} ({what}{self._values(k) if what in _LISTED else ''})")
-            elif name:
-                over.append(name)
-            if k not in roles:
+            else:
+                over += [name] if name else []
                 self._refuse_halves(k)
-        parts = (("columns read", read), ("passed over", over), ("passed over, though it may count", odd))
+        parts = (("columns read", read), ("passed over", over))
         return (
             f"{self.path.name}: "
             + "; ".join(f"{what}: {', '.join(names)}" for what, names in parts if names)
             + ("; decimal commas are read as points" if self.comma else "")
         )
-
-    def _values(self, column: int) -> str:
-        found = Counter(self.cell(k, column) for k in range(len(self.rows)))
-        if len(found) > 3:
-            return ""
-        return ": " + ", ".join(f"{count} of {value!r}" for value, count in found.most_common())
 
     def _refuse_halves(self, column: int) -> None:
         found = {self.cell(k, column).upper() for k in range(len(self.rows))} - {""}

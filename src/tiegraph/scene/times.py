@@ -7,7 +7,6 @@ A number in a table does not show its scale: 1.4e9 is a day of 2014 in seconds s
 since 1980. So the name of the column decides, and if that allows both, the user is asked.
 """
 
-import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -110,34 +109,14 @@ def check_week(week: float, where: str) -> None:
         )
 
 
-def out_of_order(times: np.ndarray) -> np.ndarray:
-    """Rows of times (R,) out of order: all but the longest run of rows that never go back, if that is
-    most of them; else the rows that go back. A time that is too large is itself listed, not the row after it."""
-    starts: list[float] = []  # first time, negative, of the best run of each length, and its row
-    rows: list[int] = []
-    after = np.full(len(times), -1)  # the next row of its run
-    for k in range(len(times) - 1, -1, -1):  # from the end, so that of two rows that are exchanged the later one is odd
-        at = bisect.bisect_right(starts, -float(times[k]))
-        after[k] = rows[at - 1] if at else -1
-        starts[at : at + 1], rows[at : at + 1] = [-float(times[k])], [k]
-    keep = np.zeros(len(times), bool)
-    k = rows[-1] if rows else -1
-    while k >= 0:
-        keep[k] = True
-        k = int(after[k])
-    back = np.flatnonzero(np.diff(times) < 0) + 1
-    return np.flatnonzero(~keep) if 2 * keep.sum() > len(times) else back
-
-
 def in_time_order(time_s: np.ndarray, line: Sequence[int], path: Path) -> tuple[np.ndarray, list[str]]:
     """Rows of a file with times (R,) in their order, the first of each time, and notes; ``line`` of each.
     Raises InputError for one time for all."""
     notes, order = [], np.argsort(time_s, kind="stable")
-    for k in out_of_order(time_s)[:1].tolist():
-        beside, where = (k - 1, "after") if k else (1, "before")
+    for k in (np.flatnonzero(np.diff(time_s) < 0) + 1)[:1].tolist():
         notes.append(
             f"{path.name}, line {line[k]}: rows are not in time order and were sorted "
-            f"({time_s[k]:.2f} s {where} {time_s[beside]:.2f} s)"
+            f"({time_s[k]:.2f} s after {time_s[k - 1]:.2f} s)"
         )
     twin = np.diff(time_s[order], prepend=-np.inf) <= 1e-9
     if twin.any():

@@ -92,7 +92,7 @@ def from_gnss(priors: Priors, frames: Frames, gnss: Gnss, settings: ScanSettings
         why = "" if gnss.names else f" (gaps over {settings.max_gap_s:g} s, or outside the file)"
         notes.append(
             f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "
-            f"{_without(frames, ~there, gnss, priors.time_s)}{hint}"
+            f"{_without(frames, ~there)}{hint}"
         )
     default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL])
     if np.isnan(sigma[there]).any():
@@ -111,26 +111,10 @@ def from_gnss(priors: Priors, frames: Frames, gnss: Gnss, settings: ScanSettings
     return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="gnss")
 
 
-def _without(frames: Frames, rows: np.ndarray, gnss: Gnss | None, time_s: np.ndarray) -> str:
-    """The first frames of (F,) rows without a position by name, and their distance in time from the file's rows."""
+def _without(frames: Frames, rows: np.ndarray) -> str:
+    """The first frames of (F,) rows without a position by name."""
     lacking = np.flatnonzero(rows).tolist()
-    said = []
-    for k in lacking[:_NAMED]:
-        why = "" if gnss is None else " (no row names it)" if gnss.names else f" ({_away(gnss, float(time_s[k]))})"
-        said.append(f"{frames.names[frames.rows[k].images[0]]}{why}")
-    return some(said, _NAMED, len(lacking))
-
-
-def _away(gnss: Gnss, time_s: float) -> str:
-    """Distance of a time from the rows of a file in time order."""
-    if not np.isfinite(time_s):
-        return "it has no time"
-    after = int(np.searchsorted(gnss.time_s, time_s))
-    if 0 < after < len(gnss.time_s):
-        before, behind = time_s - gnss.time_s[after - 1], gnss.time_s[after] - time_s
-        return f"nearest row {min(before, behind):.2f} s away, in a gap of {before + behind:.2f} s"
-    end, word = (0, "before the first row") if after == 0 else (-1, "after the last row")
-    return f"{abs(time_s - gnss.time_s[end]):.2f} s {word}, line {gnss.line[end]}"
+    return some((frames.names[frames.rows[k].images[0]] for k in lacking), _NAMED)
 
 
 def _origin(lat_lon_height: np.ndarray, settings: ScanSettings, notes: list[str]) -> Origin:
@@ -309,7 +293,7 @@ def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: lis
     pose = np.full((len(found), 4, 4), np.nan)
     pose[there, :3, 3] = world_from_geodetic(places[there], origin)
     pose[there, 3] = 0.0, 0.0, 0.0, 1.0
-    lacking = "" if there.all() else f" (none in {_without(frames, ~there, None, priors.time_s)})"
+    lacking = "" if there.all() else f" (none in {_without(frames, ~there)})"
     notes.append(
         f"positions of {there.sum()} of {len(there)} frames from EXIF{lacking}; its heights are usually above sea "
         "level and are used unchanged"

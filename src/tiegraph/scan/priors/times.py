@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scene.cells import in_seconds, seconds_of
 from tiegraph.scene.cells import times as times_by_content
@@ -83,7 +82,6 @@ def read_times(
     for found, mine in rows.items():
         out[found] = np.median(seconds[mine])
     _say_spread(table, rows, seconds, notes)
-    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames)
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
         raise InputError(
             f"{path}, line {table.line(0)}: all {len(rows)} frames have the time {np.nanmax(out):g} s: write the time "
@@ -145,29 +143,6 @@ def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, n
             f"{table.path.name}, {table.some_lines(mine)}: images of one frame are {np.ptp(seconds[mine]):.2f} s "
             f"apart, as in {len(wide)} frames; their median is taken: do these images belong together?"
         )
-
-
-def _say_odd(table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow]) -> list[str]:
-    """Notes on frames of one pass with the same time, and on those far from the others in time."""
-    notes = []
-    for sequence in sorted({frames[k].sequence for k in row} - {-1}):
-        mine = np.array(sorted((k for k in row if frames[k].sequence == sequence), key=lambda k: time_s[k]))
-        twins = np.flatnonzero(np.diff(time_s[mine]) == 0)
-        if len(twins):
-            a, b = mine[twins[0]], mine[twins[0] + 1]
-            notes.append(
-                f"{table.path.name}, {table.some_lines([row[a], row[b]])}: two frames of one pass have the time "
-                f"{time_s[a]:.10g} s, as have {len(twins)} in it; write the time of each"
-            )
-        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), 3600.0))
-        if len(far):
-            odd = mine[far[0]]
-            notes.append(
-                f"{table.path.name}, line {table.line(row[odd])}: time {time_s[odd]:.10g} s is far from the "
-                f"{np.median(time_s[mine]):.10g} s of its pass, as in {len(far)} of {len(mine)} frames; it is used: "
-                "correct it, or make these frames a pass of their own"
-            )
-    return notes
 
 
 def absent(name: str, names: Sequence[str]) -> str:
