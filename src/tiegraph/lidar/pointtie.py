@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import CAUCHY_SIGMAS, Similarity, robust_sigma
-from tiegraph.lidar.scans import first_of_voxels, voxel_keys
+from tiegraph.lidar.odometry import first_of_voxels, voxel_keys
 
 
 @dataclass(frozen=True)

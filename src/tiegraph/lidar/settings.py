@@ -4,14 +4,13 @@ from pathlib import Path
 
 from pydantic import Field
 
-from tiegraph.lidar.formats import BIN_COLUMNS
 from tiegraph.settings import Section
 
 
 class LidarSettings(Section):
     """How scans are read, what is made of them, and what is known of the LiDAR's place on the rig."""
 
-    columns: tuple[str, ...] = Field(BIN_COLUMNS, min_length=3)
+    columns: tuple[str, ...] = Field(("x", "y", "z", "intensity"), min_length=3)
     """Columns of a .bin, float32: x, y, z, and t for the time of a point (s); other names are passed over."""
 
     times: Path | None = None

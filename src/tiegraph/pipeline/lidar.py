@@ -20,9 +20,9 @@ from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.lidar.handeye import HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
-from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, odometry
+from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, deskew, odometry, velocities
 from tiegraph.lidar.pointtie import tie_by_points
-from tiegraph.lidar.scans import Recording, deskew, open_scans, velocities
+from tiegraph.lidar.scans import Recording, open_scans
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_cloud, load_json, load_model, load_scene, world_origin
