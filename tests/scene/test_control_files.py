@@ -302,7 +302,7 @@ WRONG: list[tuple[str | bytes, str]] = [
     (TAGS.replace("length", "length (px)") + "tag36h11:2,1\n", "lengths in 'px': give m, cm, mm or ft"),
     (TAGS + "tag36h11:2,1\ntag36h11:2,tag36h11:1,2\n", "line 3: the bar .* line 2 already"),
     # points and marks
-    (f"{HEAD}{A}000.jpg,5,6\n{A}000.jpg,9,6\n", r"line 4: point 'A' is marked in '000.jpg' at \(9.0, 6.0\), but .* 3"),
+    (f"{HEAD}{A}000.jpg,5,6\n{A}000.jpg,9,6\n", r"line 4: point 'A' is marked in a/000.jpg at \(9.0, 6.0\), but .* 3"),
     (f"{HEAD}{A}000.jpg,5,6\n{A}a/000.jpg,50,6\n", r"line 4: point 'A' is marked in a/000.jpg at .* but in line 3"),
     (f"{HEAD}{A}000.jpg,5,6\n{A}001.jpg,105,6\n", r"line 4: the mark \(105, 6\) of .* outside a/001.jpg, .* 100 x 80"),
     (f"{HEAD}{A}000.jpg,5,95\n", r"line 3: the mark \(5, 95\) .* px and py exchanged"),

@@ -131,7 +131,7 @@ def read_gcps(path: Path, marks: Path | None = None) -> GcpFile:
         said = f"a mark of point {lost.name!r}, which has no coordinates in {there}"
         raise InputError(f"{found.of_marks}, line {lost.line}: {said}")
     said = (*found.notes, *_doubtful(found))
-    return replace(found, marks=_once_each(found), notes=said, largest_copy=_LARGEST_COPY)
+    return replace(found, notes=said, largest_copy=_LARGEST_COPY)
 
 
 def read_points(path: Path) -> GcpFile:
@@ -198,19 +198,6 @@ def _is_odm(lines: list[tuple[int, str]]) -> bool:
     values = [says_value(c) for c in split_cells(first, delimiter_of_rows(first))]
     a_row = len(values) > 3 and sum(values) > 1 and "[" not in first and not (len(values) > 5 and all(values[:5]))
     return not (_is_header(first) or a_row)
-
-
-def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
-    """The marks without exact repeats. Raises InputError for a point marked at two places of one image."""
-    first: dict[tuple[str, str], FileMark] = {}
-    for mark in found.marks:
-        known = first.setdefault((mark.name, mark.image), mark)
-        if known.xy != mark.xy:
-            raise InputError(
-                f"{found.of_marks}, line {mark.line}: point {mark.name!r} is marked in {mark.image!r} at {mark.xy}, "
-                f"but in line {known.line} at {known.xy}: keep the right one"
-            )
-    return tuple(first.values())
 
 
 def _doubtful(found: GcpFile) -> list[str]:
