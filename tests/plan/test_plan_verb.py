@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 import pytest
 
@@ -39,7 +38,7 @@ def test_the_sweep_of_paper_004_as_json_and_as_a_table(capsys):
 
 
 @pytest.mark.slow
-def test_a_sweep_over_bases_is_one_curve_each(capsys, tmp_path):
+def test_a_sweep_over_bases_goes_through_the_distances_of_each(capsys, tmp_path):
     arguments = ["--focal-px", "2000", "--size", "2000x1500", "--distance", "1,2,4", "--base", "0.1,0.2"]
     assert main(["plan", *arguments, "-o", str(tmp_path / "out")]) == 0
     rows = list(csv.DictReader((tmp_path / "out" / "stations.csv").open()))
@@ -47,8 +46,7 @@ def test_a_sweep_over_bases_is_one_curve_each(capsys, tmp_path):
         (d, b) for b in (0.1, 0.2) for d in (1.0, 2.0, 4.0)
     ]
     assert float(rows[0]["depth_sigma_2_rays_m"]) == pytest.approx(2 * float(rows[3]["depth_sigma_2_rays_m"]))
-    assert cv2.imread(str(tmp_path / "out" / "sweep.png")).std() > 5
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"plan.json", "stations.csv", "sweep.png"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"plan.json", "stations.csv"}
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +179,6 @@ def run(command: str, folder: Path) -> dict:
 
 def test_there_is_one_for_each_kind_of_user():
     assert [found and found[1] for found in SHAPES] == [None, "canal", "facade", "grid", "tunnel"]
-    assert (PAGE.parent / "pictures" / "plan_grid.png").exists()
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
-"""From what is asked to the plan: the sweep of stations, and the path with its accuracy and effort. Pictures, tables as
-text and as CSV, planned against reached.
+"""From what is asked to the plan: the sweep of stations, and the path with its accuracy and effort. Tables as text
+and as CSV, planned against reached.
 """
 
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from tiegraph.errors import InputError
 from tiegraph.plan.accuracy import PathPlan, Propagate, plan_path
@@ -16,12 +15,8 @@ from tiegraph.plan.figures import Effort, Lens, Station, advice, effort, station
 from tiegraph.plan.network import MountedCamera
 from tiegraph.plan.path import WAYS, Anchor, Course, make_path, read_anchor, waypoint_csv, waypoint_kml
 from tiegraph.plan.request import PlanRequest, numbers
-from tiegraph.scene.results import png
 from tiegraph.text import csv_text
 
-_DPI = 130
-_INK = "#2a3138"
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 FORMAT = 1
 
 
@@ -40,9 +35,7 @@ class Plan:
 
     lens: Lens
     stations: tuple[Station, ...]
-    groups: tuple[tuple[str, tuple[Station, ...]], ...]
     advice: tuple[str, ...]
-    wanted_m: float | None = None
     path: PathPlan | None = None
     effort: Effort | None = None
     anchor: Anchor | None = None
@@ -63,11 +56,9 @@ class Plan:
             }  # fmt: skip
         return out
 
-    def files(self) -> dict[str, bytes | str]:
+    def files(self) -> dict[str, str]:
         """name -> content of what is written beside plan.json."""
-        out: dict[str, bytes | str] = {"stations.csv": station_csv(self.stations)}
-        if len(self.stations) > 1:
-            out["sweep.png"] = sweep_picture(self.groups, self.wanted_m)
+        out = {"stations.csv": station_csv(self.stations)}
         if self.path is not None:
             out["waypoints.csv"] = waypoint_csv(self.path.path, self.anchor)
             if self.anchor is not None:
@@ -83,11 +74,8 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features
     shape = request.path.shape
     camera = rigged.cameras[0].camera
     lens = Lens(camera.mean_focal_length(), (camera.width, camera.height), along=1 if shape == "grid" else 0)
-    groups, said = _sweep(request, lens)
-    stations = tuple(s for _, group in groups for s in group)
-    plan = Plan(
-        lens=lens, stations=stations, groups=groups, advice=tuple(said), wanted_m=request.images.precision
-    )  # fmt: skip
+    stations, said = _sweep(request, lens)
+    plan = Plan(lens=lens, stations=stations, advice=said)
     if shape is None:
         return plan
     if len(stations) > 1:
@@ -95,17 +83,14 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, most_features
     return _with_path(plan, request, rigged, by, most_features)
 
 
-def _sweep(request: PlanRequest, lens: Lens) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
-    images, said, groups = request.images, [], []
-    bases, overlaps = numbers("base", images.base), numbers("overlap", images.overlap)
-    for base, overlap in product(bases, overlaps):
+def _sweep(request: PlanRequest, lens: Lens) -> tuple[tuple[Station, ...], tuple[str, ...]]:
+    images, said, made = request.images, [], []
+    for base, overlap in product(numbers("base", images.base), numbers("overlap", images.overlap)):
         wanted = images.wanted(base, overlap)
-        made = [station(lens, d, wanted) for d in images.distances()]
-        said += [text for one in made for text in advice(one, lens, wanted)]
-        name = f"base {base:g} m, " if len(bases) > 1 and base else ""
-        name += f"overlap {100 * overlap:g} %, " if len(overlaps) > 1 and overlap is not None else ""
-        groups.append((name, tuple(made)))
-    return tuple(groups), said
+        for distance in images.distances():
+            made.append(station(lens, distance, wanted))
+            said += advice(made[-1], lens, wanted)
+    return tuple(made), tuple(said)
 
 
 def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, most_features: int) -> Plan:
@@ -139,31 +124,6 @@ def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, 
     facts = {"shape": course.shape, "distance_m": course.distance_m, "length_m": course.length_m}
     said = (*plan.advice, *found.advice)
     return replace(plan, advice=said, path=found, effort=cost, anchor=anchor, shape=facts)
-
-
-def sweep_picture(groups: Sequence[tuple[str, Sequence[Station]]], wanted_m: float | None) -> bytes:
-    """PNG: precision of a depth and points per area by the distance, a curve for each group (name, its stations)."""
-    figure = Figure(figsize=(9.0, 3.8), dpi=_DPI, layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for k, (name, stations) in enumerate(groups):
-        distance = [s.distance_m for s in stations]
-        colour = _COLOURS[k % len(_COLOURS)]
-        for rays, style in ((0, "o-"), (1, "s--")):
-            deep = [1000 * s.precision_m[rays] if len(s.precision_m) > rays else np.nan for s in stations]
-            left.plot(distance, deep, style, color=colour, ms=4, lw=1.4, label=f"{name}{rays + 2} rays")
-        right.plot(
-            distance, [s.points_mm2 for s in stations], "o-", color=colour, ms=4, lw=1.4, label=name.rstrip(", ")
-        )
-    if wanted_m is not None:
-        left.axhline(1000 * wanted_m, color=_INK, lw=1, ls=":", label="wanted")
-    left.set_ylabel("sigma of a depth, mm")
-    right.set_ylabel("points per mm²")
-    for axes in (left, right):
-        axes.set_xlabel("distance, m")
-        axes.set_ylim(bottom=0)
-        axes.grid(color="#e4e7eb")
-    left.legend(frameon=False, fontsize=8)
-    return png(figure)
 
 
 # What is compared: name, key in the plan and in what was reached, factor to the unit that is shown.

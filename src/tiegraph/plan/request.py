@@ -209,7 +209,7 @@ class OutputRequest:
     """What is written."""
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """A new folder for plan.json, table, pictures, 3-D view and waypoints."""
+    """A new folder for plan.json, table, 3-D view and waypoints."""
     compare: Path | None = None
     """A finished run: what was planned (--planned) against what it reached."""
     planned: Path | None = None
