@@ -275,6 +275,35 @@ def test_rtklib(tmp_path: Path, clock: str, sep: str) -> None:
     assert says(found.notes, "4 fixed")
 
 
+def test_rtklib_in_degrees_minutes_and_seconds(tmp_path: Path) -> None:
+    rows = []
+    for time, (lat, lon, height) in zip(CLOCKS["UTC"], LLH * [-1, 1, 1]):
+        cells = []
+        for value in (lat, lon):
+            whole, rest = divmod(abs(value) * 3600, 3600)
+            cells.append(f"{'-' if value < 0 else ''}{whole:.0f} {rest // 60:02.0f} {rest % 60:08.5f}")
+        rows.append(f"{time} {cells[0]} {cells[1]} {height:.4f} {MORE}")
+    names = NAMES.replace("latitude(deg)", "latitude(d'\")").replace("longitude(deg)", "longitude(d'\")")
+    same_places(read(tmp_path, f"{PROGRAM}%  UTC   {names}\n" + "\n".join(rows)), llh=LLH * [-1, 1, 1])
+
+
+def test_rtklib_in_ecef(tmp_path: Path) -> None:
+    """Sigmas of the axes of the Earth are turned to east, north and up with their covariances."""
+    xyz = np.stack(pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978").transform(*LLH.T), axis=-1)
+    lat, lon = np.radians(LLH[0, :2])
+    turn = np.array([[-np.sin(lon), np.cos(lon), 0],
+                     [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+                     [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]])  # fmt: skip
+    cov = turn.T @ np.diag([0.02, 0.03, 0.06]) ** 2 @ turn
+    signed = [np.sign(c) * abs(c) ** 0.5 for c in (*np.diag(cov), cov[0, 1], cov[1, 2], cov[2, 0])]
+    rows = [f"{t} " + " ".join(f"{v:.5f}" for v in p) + " 1 9 " + " ".join(f"{s:.7f}" for s in signed) + " 0.00 9.9"
+            for t, p in zip(CLOCKS["GPST"], xyz)]  # fmt: skip
+    head = "%  GPST   x-ecef(m)  y-ecef(m)  z-ecef(m)  Q ns sdx(m) sdy(m) sdz(m) sdxy(m) sdyz(m) sdzx(m) age(s) ratio\n"
+    found = read(tmp_path, head + "\n".join(rows))
+    same_places(found, 10 * MM)
+    np.testing.assert_allclose(found.sigma_m, [[0.02, 0.03, 0.06]] * COUNT, rtol=1e-3)
+
+
 def test_rtklib_that_is_cut_off_or_above_the_geoid_is_said(tmp_path: Path) -> None:
     text = solution("GPST", CLOCKS["GPST"], head=PROGRAM.replace("ellipsoidal", "geodetic"))
     found = read(tmp_path, text[:-20])
@@ -498,9 +527,7 @@ WRONG: list[tuple[str | bytes, str]] = [
     (rmc() + gga(0, quality=0), "none of 1 rows has a time and a position in range: line 2"),
     (rmc() + sentence("GNGGA,120000,3561.4,N,13946.2,E,4,9,1,131.2,M,36.7,M,,"), "none of 1 rows"),
     # RTKLIB
-    (solution("GPST", CLOCKS["GPST"], NAMES.replace("latitude(deg)", "e-baseline(m)")), "line 3: e-baseline.*llh"),
-    (solution("GPST", CLOCKS["GPST"], NAMES.replace("latitude(deg)", "x-ecef(m)")), "line 3: x-ecef.*llh"),
-    (solution("GPST", CLOCKS["GPST"], NAMES.replace("(deg)", "(d'\")")), "line 3: latitude.*out-degform = deg"),
+    (solution("GPST", CLOCKS["GPST"], NAMES.replace("latitude(deg)", "e-baseline(m)")), "line 3: baselines .*llh"),
     (solution("GPST", CLOCKS["GPST"], head=PROGRAM.replace("WGS84", "Tokyo")), "line 2: positions on the datum Tokyo"),
     (solution("GPST", CLOCKS["GPST"]) + "2024/05/01 12:00:30.0 1 2 3 4 5 6 7 8 9 10 11 12 13 14\n", "line 8: 16 col"),
     (solution("GPST", []), "no rows below its header"),
@@ -529,8 +556,8 @@ WRONG: list[tuple[str | bytes, str]] = [
     (geo("EPSG:4326").replace("4326", "99999"), "line 1: 'EPSG:99999' is no coordinate system"),
     (geo("EPSG:32654").replace("32654", "4326"), "line 2: x 388.* lies outside WGS 84: .*another CRS"),
     (geo("EPSG:4326", back=True), r"line 2: x 35.69, y 139.77 lies outside WGS 84: latitude and longitude exchanged"),
-    ("EPSG:4326\na.jpg 139 35 WRONG\n", "line 2, height"),
-    ("EPSG:4326\na.jpg 139\n", "none of 1 rows has a position in range: line 2, latitude"),
+    ("EPSG:4326\na.jpg 139 35 WRONG\n", "line 2, height 'WRONG'; correct the file"),
+    ("EPSG:4326\na.jpg 139\n", "none of 1 rows has a position in range: line 2, latitude ''"),
     ("EPSG:4326\na.jpg 139 35\n", "none of 1 rows has a position in range: line 2, height"),
     ("EPSG:32654\n388 3950 40 12 13 a.jpg\n", "line 2: x y z px py image, .*by --gcp"),
     (geo("EPSG:4326") + f"{IMAGES[0]} 139.8 35.7 40\n", "line 6: image 'DJI_0007.JPG' has another place"),

@@ -195,7 +195,6 @@ SIGMAS = ("horizontal sigma", "sigma", "sigma to the east", "sigma to the north"
 _KNOWN = {word for role, words in ROLES.items() for word in words if role != "crs"} | {"ts"}
 
 
-# Kinds of columns that change the meaning of the others.
 def known_words(columns: tuple[str, ...]) -> int:
     """How many columns have a name that some table knows, without their units."""
     return sum(c in _KNOWN or without_unit(c)[0] in _KNOWN for c in columns)

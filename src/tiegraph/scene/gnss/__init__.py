@@ -86,7 +86,17 @@ def _fixes(table: Table, crs: pyproj.CRS | None) -> Gnss:
     llh, used = _places(table, crs, [] if image is not None or times is not None else ["time (or image)"], notes)
     sigma = _sigma(table, notes)
     heading, turned = _heading(table, notes)
+    what = (("latitude", "northing"), ("longitude", "easting"), ("height", "ellipsoidal height"))
+    columns = {a: used.get(a, used.get(b)) for a, b in what}
     used |= {"image": image, **(times.used if times else {}), **turned, **{s: table.find(s) for s in SIGMAS}}
+
+    def text_of(row: int, what: str) -> str:
+        if what == "time":
+            return table.cell(row, times.column if times else None)
+        if what == "accuracy":  # the one that shows that a row has no position
+            sigmas = [c for s in SIGMAS if (c := table.find(s)) is not None]
+            return table.cell(row, next((c for c in sigmas if table.metres(c)[row] > SIGMA_RANGE_M[1]), None))
+        return table.cell(row, columns[what])
 
     return Gnss(
         path=table.path,
@@ -98,6 +108,7 @@ def _fixes(table: Table, crs: pyproj.CRS | None) -> Gnss:
         heading_deg=heading,
         notes=[*notes, table.said(used), *(times.notes if times else ())],
         period_s=times.period_s if times else 0.0,
+        text=text_of,
     )
 
 

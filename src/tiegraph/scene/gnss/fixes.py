@@ -1,6 +1,6 @@
 """Positions of a receiver: which rows of a file can be used, and their mutual consistency, for every format."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -40,6 +40,7 @@ class Gnss:
     heading_deg: np.ndarray = field(default_factory=lambda: np.array(np.nan))  # (G,) of the body, clockwise from north
     notes: Sequence[str] = ()
     period_s: float = 0.0  # times count within a day (UTC) or an unnamed GPS week; 0 = from an epoch
+    text: Callable[[int, str], str] | None = None  # the text of a row for "latitude", "time" ...; else the number
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma_m", np.broadcast_to(self.sigma_m, (len(self.line), 3)))
@@ -49,7 +50,7 @@ class Gnss:
         """Some rows (K,), with further notes."""
         names, line = (tuple(c[k] for k in keep.tolist()) if c else () for c in (self.names, self.line))
         columns = {n: getattr(self, n)[keep] for n in ("lat_lon_height", "time_s", "sigma_m", "heading_deg")}
-        return replace(self, names=names, line=line, notes=(*self.notes, *notes), **columns)
+        return replace(self, names=names, line=line, notes=(*self.notes, *notes), text=None, **columns)
 
 
 def judged(raw: Gnss, heights_m: tuple[float, float] = HEIGHTS_M) -> Gnss:
@@ -111,17 +112,24 @@ def _faults(llh: np.ndarray, sigma: np.ndarray, heights_m: tuple[float, float]) 
     ]
 
 
+def _text(fixes: Gnss, row: int, what: str) -> str:
+    if fixes.text is not None:
+        return fixes.text(row, what)
+    if what in _ANGLES:
+        return f"{fixes.lat_lon_height[row, _ANGLES.index(what)]:.10g}"
+    return f"{fixes.time_s[row] if what == 'time' else np.nanmax(fixes.sigma_m[row]):.10g}"
+
+
 def _first(fixes: Gnss, faults: _Faults, heights_m: tuple[float, float]) -> str:
-    """The first number at fault, in words; else the first row without one."""
-    values = {**dict(zip(_ANGLES, fixes.lat_lon_height.T)), "time": fixes.time_s}
-    values["accuracy"] = np.fmax.reduce(fixes.sigma_m, axis=1)
+    """The first cell at fault that is not empty, in words; else the first empty one."""
     found = [(k, what) for what, bad in faults for k in np.flatnonzero(bad).tolist()]
-    numbers = [(k, what) for k, what in found if what != _NO_FIX and not np.isnan(values[what][k])]
-    row, what = min(numbers or found, key=lambda f: f[0])
-    if not numbers:
-        return f"line {fixes.line[row]}, {what}"
-    remedy = f", {beyond(heights_m)}" if what == "height" else "; correct the file, or leave such rows out"
-    return f"line {fixes.line[row]}, {what} '{values[what][row]:.10g}'{remedy}"
+    filled = [f for f in found if f[1] != _NO_FIX and _text(fixes, *f).lower() not in EMPTY]
+    row, what = min(filled or found, key=lambda f: f[0])
+    shown = "" if what == _NO_FIX else f" {_text(fixes, row, what)!r}"
+    remedy = "; correct the file, or leave such rows out" if filled else ""
+    if what == "height" and np.isfinite(fixes.lat_lon_height[row, 2]):
+        remedy = f", {beyond(heights_m)}"
+    return f"line {fixes.line[row]}, {what}{shown}{remedy}"
 
 
 def _hint(llh: np.ndarray) -> str:

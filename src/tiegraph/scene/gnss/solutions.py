@@ -1,7 +1,8 @@
 """Positions with sigmas from other programs: RTKLIB's .pos, Applanix' SBET, DJI's MRK and ROS's fixes.
 
-**RTKLIB** (manual 2.4.2, B.1): columns and time scale by the header. Places are lat, lon, height in degrees; other
-forms of the solution are refused. Times are dates or week and seconds, of GPS time, UTC or JST.
+**RTKLIB** (manual 2.4.2, B.1): columns and time scale by the header. Places are lat, lon, height or ECEF; a
+baseline from a station without stated coordinates is refused. Times are dates or week and seconds, of GPS time,
+UTC or JST.
 
 **SBET**, smoothed best estimate of trajectory (Applanix POSPac, also written by other INS software): 17 doubles a
 record. Time (s of the GPS week), latitude and longitude (rad), altitude (m above the ellipsoid), velocities x, y, z,
@@ -24,8 +25,9 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import enu_axes, geodetic_from_ecef
 from tiegraph.scene.bags import open_bag, split_topics, stamp_ns
-from tiegraph.scene.cells import number, parse_time
+from tiegraph.scene.cells import degrees, number, parse_time
 from tiegraph.scene.gnss.fixes import Gnss
 from tiegraph.scene.textfile import decoded, text_lines
 from tiegraph.scene.times import GPS_EPOCH_S, WEEK_S, check_week, gps_note, utc_from_gps
@@ -38,11 +40,12 @@ _QUALITY = {1: "fixed", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP"}
 
 @dataclass(frozen=True)
 class _Header:
-    """Time scale, and columns after the time."""
+    """Time scale, columns after the time, and whether degrees are written as degrees, minutes and seconds."""
 
     line: int
     scale: str
     columns: tuple[str, ...]
+    sexagesimal: bool
 
     def find(self, *names: str) -> list[int]:
         """Columns by name; missing ones are left out."""
@@ -52,8 +55,8 @@ class _Header:
 def read_rtklib(path: Path, raw: bytes) -> Gnss:
     """Rows of a solution with their standard deviations.
 
-    Raises InputError, with the line, for other forms than degrees and heights, another datum than WGS84, rows of more
-    columns than the header, and invalid weeks.
+    Raises InputError, with the line, for baselines, another datum than WGS84, rows of more columns than the header, and
+    invalid weeks.
     """
     text, notes = decoded(path, raw, "GNSS file")
     lines = [(n, line.strip()) for n, line in enumerate(text_lines(text), start=1) if line.strip()]
@@ -63,7 +66,7 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
     rows = [(n, _SPLIT.split(line.strip(",;"))) for n, line in lines if not line.startswith("%") and n > header.line]
     if not rows:
         raise InputError(f"{path}: no rows below its header; process the observations again")
-    width = 2 + len(header.columns)
+    width = 2 + len(header.columns) + 4 * header.sexagesimal
     long = next(((n, cells) for n, cells in rows if len(cells) > width), None)
     if long is not None:
         raise InputError(
@@ -71,9 +74,8 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
             "these two solutions in one file? Give one"
         )
     whole = [cells if len(cells) == width else [] for _, cells in rows]  # numbers in a cut-off line are cut off
-    none = [float("nan")] * len(header.columns)
-    table = np.array([[number(c) for c in cells[2:]] if cells else none for cells in whole])
-    sigma = header.find("sde", "sdn", "sdu")
+    table = np.array([_numbers(cells[2:], header) for cells in whole])
+    llh, axes = _places(table, header)
     time_s = np.array([_time(path, n, cells) for (n, _), cells in zip(rows, whole)])
     if header.scale == "JST":
         time_s -= 9 * 3600.0
@@ -87,9 +89,9 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
     return Gnss(
         path=path,
         line=[n for n, _ in rows],
-        lat_lon_height=table[:, header.find("latitude", "longitude", "height")],
+        lat_lon_height=llh,
         time_s=time_s,
-        sigma_m=table[:, sigma] if len(sigma) == 3 else np.full(3, np.nan),
+        sigma_m=_sigma(table, header, axes),
         notes=notes,
     )
 
@@ -97,18 +99,19 @@ def read_rtklib(path: Path, raw: bytes) -> Gnss:
 def _header(path: Path, comments: list[tuple[int, str]]) -> _Header:
     n, line = next((n, line) for n, line in comments if _HEADER.match(line))
     scale, *columns = _SPLIT.split(line.lstrip("% "))
-    if not columns[0].startswith("latitude") or "(d'" in columns[0]:
+    if columns[0].startswith("e-baseline"):
         raise InputError(
-            f"{path}, line {n}: {columns[0]}: write the solution as latitude, longitude and height in degrees "
-            "(out-solformat = llh, out-degform = deg)"
+            f"{path}, line {n}: baselines (east, north, up) from a base without coordinates in the rows: write the "
+            "solution as lat/lon/height (out-solformat = llh)"
         )
     names = tuple(re.sub(r"\(.*", "", c).lower() for c in columns)
-    if missing := [c for c in ("latitude", "longitude", "height") if c not in names]:
+    needed = ("x-ecef", "y-ecef", "z-ecef") if names[0] == "x-ecef" else ("latitude", "longitude", "height")
+    if missing := [c for c in needed if c not in names]:
         raise InputError(
             f"{path}, line {n}: the header has no column {', '.join(missing)}; found: {', '.join(names)}: correct it, "
             "or process the observations again"
         )
-    return _Header(line=n, scale=scale, columns=names)
+    return _Header(line=n, scale=scale, columns=names, sexagesimal="(d'" in columns[0])
 
 
 def _heights(path: Path, comments: list[tuple[int, str]]) -> list[str]:
@@ -120,6 +123,38 @@ def _heights(path: Path, comments: list[tuple[int, str]]) -> list[str]:
         if found and found[2] == "geodetic":
             return [f"{path.name}: heights above the geoid (out-height = geodetic), used unchanged"]
     return []
+
+
+def _numbers(cells: list[str], header: _Header) -> list[float]:
+    if not cells:
+        return [float("nan")] * len(header.columns)
+    values = [number(c) for c in cells]
+    if not header.sexagesimal:
+        return values
+    angles = ("{}°{}'{}\"".format(*cells[k : k + 3]) for k in (0, 3))
+    return [*(degrees(a)[0] for a in angles), *values[6:]]
+
+
+def _places(table: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarray | None]:
+    """(R, 3) lat, lon, height, and for ECEF the axes east, north, up (R, 3, 3) there."""
+    if header.columns[0] == "latitude":
+        return table[:, header.find("latitude", "longitude", "height")], None
+    xyz = table[:, header.find("x-ecef", "y-ecef", "z-ecef")]
+    llh = geodetic_from_ecef(xyz)
+    return llh, enu_axes(llh[:, 0], llh[:, 1])
+
+
+def _sigma(table: np.ndarray, header: _Header, axes: np.ndarray | None) -> np.ndarray:
+    """(R, 3) standard deviations east, north, up; NaN (3,) if the columns are not there."""
+    if axes is None:
+        found = header.find("sde", "sdn", "sdu")
+        return table[:, found] if len(found) == 3 else np.full(3, np.nan)
+    found = header.find("sdx", "sdy", "sdz", "sdxy", "sdyz", "sdzx")
+    if len(found) != 6:
+        return np.full(3, np.nan)
+    xx, yy, zz, xy, yz, zx = (np.sign(table[:, found]) * table[:, found] ** 2).T
+    covariance = np.stack([np.stack(r, -1) for r in ((xx, xy, zx), (xy, yy, yz), (zx, yz, zz))], axis=1)
+    return np.sqrt(np.clip(np.einsum("rij,rjk,rik->ri", axes, covariance, axes), 0.0, None))
 
 
 def _time(path: Path, n: int, cells: list[str]) -> float:
