@@ -1,6 +1,7 @@
 """The pool of Dask: items on its workers, what they use, and everything that can be wrong with a cluster."""
 
 import importlib.util
+import json
 import os
 import signal
 import socket
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 import dask_world
@@ -18,6 +20,7 @@ from said import refused
 from tiegraph.errors import SettingsError, TiegraphError
 from tiegraph.project import daskpool
 from tiegraph.project.pool import Place, map_items, open_pool
+from tiegraph.project.progress import Elsewhere, Meter
 
 pytestmark = [
     pytest.mark.slow,
@@ -102,6 +105,20 @@ def test_a_file_changed_between_two_runs_is_read_again(cluster, tmp_path):
         executor, workers = open_pool(f"dask:{cluster.scheduler_address}")
         assert set(map_items(executor, workers, dask_world.read_kept, range(8), (path,))) == {text}
         executor.shutdown()
+
+
+@pytest.mark.parametrize("below", [True, False], ids=["below this process", "elsewhere"])
+def test_use_of_the_workers_is_counted_once(cluster, tmp_path, monkeypatch, below):
+    if not below:
+        monkeypatch.setattr(psutil.Process, "children", lambda self, recursive=False: [])
+    elsewhere = Elsewhere()
+    executor, workers = open_pool(f"dask:{cluster.scheduler_address}", place=Place(tmp_path, (), elsewhere))
+    meter = Meter(elsewhere=elsewhere)
+    map_items(executor, workers, dask_world.burn, range(4), (0.5,))
+    used = meter.stop()
+    executor.shutdown()
+    assert 2.0 <= used["cpu_s"] < 3.9
+    assert used["peak_mib"] > 400
 
 
 def test_only_one_item_at_a_time_in_a_worker_of_many_threads(one_worker):
@@ -293,3 +310,11 @@ def test_an_item_that_ends_its_worker_is_not_tried_again_and_again(one_worker):
     with pytest.raises(TiegraphError, match="worker .* was lost"):
         map_items(executor, workers, dask_world.end_process, [0])
     executor.shutdown(cancel_futures=True)
+
+
+def test_counts_elsewhere_are_sums_of_cpu_and_of_peaks():
+    one = Elsewhere()
+    for worker, cpu_s, peak_mib in (("a", 1.0, 50.0), ("a", 2.0, 40.0), ("b", 4.0, 7.0)):
+        one.add(worker, {"cpu_s": cpu_s, "peak_mib": peak_mib})
+    assert json.dumps(one.take()) == '{"cpu_s": 7.0, "peak_mib": 57.0}'
+    assert one.take() == {"cpu_s": 0.0, "peak_mib": 0}

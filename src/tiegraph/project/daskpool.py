@@ -1,4 +1,4 @@
-"""Items on the workers of a Dask cluster, as an ``Executor``; SLURM starts such workers as jobs (``open_slurm``).
+"""Items on the workers of a Dask cluster, as an ``Executor``.
 
 If a worker is lost, its chunk of items is given to another; the run ends only if none is left, or if a chunk has ended
 several workers. Workers that come later, restarted by Dask or by a queue, take part from the next stage on.
@@ -9,7 +9,7 @@ import logging
 import os
 import pickle
 import shutil
-import signal
+import socket
 import threading
 import time
 import uuid
@@ -18,18 +18,21 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future, InvalidStateError
 from contextlib import suppress
 from functools import partial
-from importlib import import_module
 from typing import Any
+
+import psutil
 
 from tiegraph.errors import InputError, SettingsError, TiegraphError, optional
 from tiegraph.project import daskworker
 from tiegraph.project.pool import Place
+from tiegraph.project.progress import Elsewhere
 from tiegraph.project.stages import software
 
 log = logging.getLogger(__name__)
 
 _GOES_ON = "finished work is kept, run the same command again"
-_CONNECT_S = _WORKERS_S = 8.0  # for the scheduler's answer, and until it has a worker
+_CONNECT_S = 8.0
+_WORKERS_S = 8.0  # until the scheduler has a worker
 _FREE_S = 60.0  # for a worker to finish its present task and to load tiegraph
 _END_S = 30.0  # for the items under way to end after an error
 _SHARED_BYTES = 2**18  # larger data goes to each worker once
@@ -55,50 +58,6 @@ def open_dask(address: str, place: Place | None, end: Callable[[], Any] | None =
         raise
 
 
-def open_slurm(jobs: int, place: Place | None) -> tuple[Executor, int]:
-    """(executor, number of workers at first) of a scheduler in this process, once a job has begun, which may take the
-    queue hours. Raises EngineMissing without dask-jobqueue, SettingsError if its file does not say what a job is,
-    InputError if `sbatch` takes none, and as ``open_dask``."""
-    stopping = signal.getsignal(signal.SIGINT)
-    jobqueue, config = optional("dask_jobqueue", "slurm", "the pool slurm"), import_module("dask").config
-    signal.signal(signal.SIGINT, stopping)  # dask-jobqueue's own handler would end the run without a word
-    try:
-        # A worker makes one item at a time: as many as there are cores
-        cluster = jobqueue.SLURMCluster(processes=config.get("jobqueue.slurm.cores", None) or 1)
-    except ValueError as error:
-        raise SettingsError(
-            f"pool slurm: {error} Say so in ~/.config/dask/jobqueue.yaml, below jobqueue, slurm: cores, memory, "
-            "queue, walltime"
-        ) from None
-
-    async def submit() -> None:
-        cluster.scale(jobs=jobs)
-        await cluster
-
-    quiet = Quiet()
-    try:
-        cluster.sync(submit)
-        if place is not None and place.say is not None:
-            what = "1 job" if jobs == 1 else f"{jobs} jobs"
-            place.say(f"pool slurm: {what} submitted; the run begins when the queue starts the first (squeue shows it)")
-        while not cluster.scheduler_info["workers"]:
-            time.sleep(1.0)  # between two looks whether the queue has started a job
-    except BaseException as error:
-        with suppress(AssertionError):  # that every job was begun
-            cluster.close()
-        if isinstance(error, (OSError, RuntimeError)):
-            said = " ".join(str(error).split())
-            raise InputError(f"pool slurm: no job could be submitted, is sbatch here? ({said})") from None
-        raise
-    finally:
-        quiet.end()
-    try:
-        return open_dask(cluster.scheduler_address, place, cluster.close)
-    except BaseException:
-        cluster.close()
-        raise
-
-
 class DaskExecutor(Executor):
     """Runs calls on the workers that ``begin`` found and those that came later. Made by ``open_dask``."""
 
@@ -109,6 +68,8 @@ class DaskExecutor(Executor):
         self._workers: list[str] = []
         self._refused: set[str] = set()  # workers that came later and cannot serve
         self._missing: set[str] = set()  # workers that have gone
+        self._below: set[str] = set()  # workers in child processes of this one: their use is counted already
+        self._elsewhere = Elsewhere()
         self._doing = "items"
         self._waiting: set[Future] = set()
         self._unfinished = self._over = False
@@ -117,6 +78,7 @@ class DaskExecutor(Executor):
     def begin(self, place: Place | None) -> int:
         """Check and prepare every worker; their number. Raises InputError naming a worker that cannot serve."""
         self._place = place
+        self._elsewhere = place.elsewhere if place is not None and place.elsewhere is not None else Elsewhere()
         try:
             self._client.wait_for_workers(1, timeout=_WORKERS_S)
             threads = dict(sorted(self._client.nthreads().items()))
@@ -205,10 +167,14 @@ class DaskExecutor(Executor):
         for worker, answer in seen.items():
             if (why := unfit(answer)) is not None:
                 wrong[worker] = f"pool dask:{self._address}: the worker {worker} {why}"
+        own = {p.pid for p in (psutil.Process(), *psutil.Process().children(recursive=True))}
         for worker in (w for w in threads if w not in wrong):
             if threads[worker] > 1:
                 log.warning("dask worker %s: %d threads for one item at a time; better: more workers with "
                             "--nthreads 1", worker, threads[worker])  # fmt: skip
+            host, pid, _ = seen[worker]
+            if host == socket.gethostname() and pid in own:
+                self._below.add(worker)
             self._workers.append(worker)
         return wrong
 
@@ -262,12 +228,14 @@ class DaskExecutor(Executor):
         """Forward the result of a task, or the error of the item."""
         with suppress(InvalidStateError):  # nobody waits any more, or the run cannot go on
             try:
-                result = await task
+                result, worker, used = await task
             except (Exception, CancelledError) as error:
                 dask = type(error).__module__.partition(".")[0] in ("distributed", "tornado")
                 lost = dask or isinstance(error, CancelledError)
                 future.set_exception(TiegraphError(self._gone(error)) if lost else error)
                 return
+            if worker not in self._below:
+                self._elsewhere.add(worker, used)
             future.set_result(result)
 
     def _ended(self, task: Any, future: Future) -> None:
@@ -370,10 +338,10 @@ def unfit(seen: Any) -> str | None:
     """Why a worker cannot serve, None if it can. ``seen``: the answer of ``prepare`` or the error."""
     if isinstance(seen, (TimeoutError, asyncio.TimeoutError)):
         return f"did not begin within {_FREE_S:.0f} s: it is busy with something else or hangs; wait, or start it again"
-    if not isinstance(seen, str):
+    if not isinstance(seen, tuple):
         return f"could not begin ({type(seen).__name__}: {seen}): see its output, and start it again"
-    if seen:
-        return f"{seen}: workers need the run folder and the images under the same paths (a shared file system)"
+    if seen[2]:
+        return f"{seen[2]}: workers need the run folder and the images under the same paths (a shared file system)"
     return None
 
 

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import socket
 import tempfile
 import threading
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.project.pool import limit_threads
+from tiegraph.project.progress import Meter
 
 _turn = threading.Lock()  # one item at a time in a process: the libraries have the threads
 _runs: set[str] = set()  # that this process was prepared for
@@ -24,9 +26,9 @@ def unpacked(packed: bytes) -> Any:
     return pickle.loads(packed)()
 
 
-def prepare(run: str, threads: int, probe: tuple[str, list[str]] | None) -> str:
-    """Prepare this process for a run, once its task for another has ended; why it cannot use the folders, "" if it
-    can. ``probe``: the folder to write into, the paths to read."""
+def prepare(run: str, threads: int, probe: tuple[str, list[str]] | None) -> tuple[str, int, str]:
+    """Prepare this process for a run, once its task for another has ended; its host and pid, and why it cannot use
+    the folders. ``probe``: the folder to write into, the paths to read."""
     with _turn:
         limit_threads(threads)
         _runs.add(run)
@@ -42,7 +44,7 @@ def prepare(run: str, threads: int, probe: tuple[str, list[str]] | None) -> str:
                 tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
             problem = f"cannot write into {Path(folder).parent} ({error.strerror})"
-        return problem
+        return socket.gethostname(), os.getpid(), problem
 
 
 def idle() -> None:
@@ -51,8 +53,8 @@ def idle() -> None:
         pass
 
 
-def on_worker(packed: bytes, *handles: bytes) -> Any:
-    """A call's result.
+def on_worker(packed: bytes, *handles: bytes) -> tuple[Any, str, dict[str, float]]:
+    """A call's result, the worker's address and its resource use.
 
     ``packed``: run, its working folder, function, arguments, and which of these come as ``handles``, pickled. Raises
     as the function.
@@ -65,16 +67,19 @@ def on_worker(packed: bytes, *handles: bytes) -> Any:
         run, folder, fn, args, shared = pickle.loads(packed)
         for k, data in zip(shared, handles):
             args[k] = pickle.loads(data)
+        worker = get_worker()
         if run not in _runs:  # restarted under its address
-            limit_threads(get_worker().state.nthreads)
+            limit_threads(worker.state.nthreads)
             _runs.add(run)
-        before = os.getcwd()
+        before, meter = os.getcwd(), Meter()
         with suppress(OSError):  # paths of settings may be relative to it; a machine without it stays where it is
             os.chdir(folder)
         try:
-            return fn(*args)
+            result = fn(*args)
         finally:
+            used = meter.stop()
             os.chdir(before)
+        return result, worker.address, used
 
 
 def while_wanted(function: Callable[..., Any], item: Any, *args: Any) -> Any:

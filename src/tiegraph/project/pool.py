@@ -12,6 +12,7 @@ from typing import Any
 from tiegraph.child import Helpers, cores, from_outside, how_ended
 from tiegraph.errors import ProcessLost, SettingsError
 from tiegraph.forking import keep_memory
+from tiegraph.project.progress import Elsewhere
 
 _LOOK_S = 2.0  # between two checks whether the workers live
 _MOST_PER_CORE, _MOST = 4, 64  # workers: more is a typing error; on a small machine this many are allowed
@@ -90,10 +91,11 @@ def check_pool(spec: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Place:
-    """Folders that workers on other machines must reach, and who hears of waits."""
+    """Folders that workers on other machines must reach, the counter of their resource use, and who hears of waits."""
 
     folder: Path  # they write here
     reads: tuple[Path, ...] = ()  # and read these
+    elsewhere: Elsewhere | None = None
     say: Callable[[str], None] | None = None
 
 
@@ -109,9 +111,13 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
     if name == "local":
         count = int(argument or cores())
         return LocalPool(count, threads=max(1, cores() // count)), count
-    from tiegraph.project.daskpool import open_dask, open_slurm
+    if name == "slurm":
+        from tiegraph.project.queuepool import open_slurm
 
-    return open_slurm(int(argument), place) if name == "slurm" else open_dask(argument, place)
+        return open_slurm(int(argument), place)
+    from tiegraph.project.daskpool import open_dask
+
+    return open_dask(argument, place)
 
 
 def _begin(threads: int) -> None:

@@ -85,11 +85,38 @@ class LogFormatter(logging.Formatter):
         return printable(super().format(record))
 
 
-class Meter:
-    """CPU seconds and peak memory of this process and all its children, also ended ones."""
+class Elsewhere:
+    """Resource use of workers outside this process (of Dask, on other machines) since the last query."""
 
-    def __init__(self, interval_s: float = 0.5) -> None:
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._cpu_s = 0.0
+        self._peak_mib: dict[str, float] = {}
+
+    def add(self, worker: str, used: dict[str, float]) -> None:
+        """Add the values of a worker's own ``Meter`` for a task."""
+        with self._lock:
+            self._cpu_s += used["cpu_s"]
+            self._peak_mib[worker] = max(used["peak_mib"], self._peak_mib.get(worker, 0.0))
+
+    def take(self) -> dict[str, float]:
+        """{"cpu_s", "peak_mib": the sum of the workers' peaks}; resets both."""
+        with self._lock:
+            used = {"cpu_s": self._cpu_s, "peak_mib": sum(self._peak_mib.values())}
+            self._cpu_s, self._peak_mib = 0.0, {}
+        return used
+
+
+class Meter:
+    """CPU seconds and peak memory of this process and all its children, also ended ones, and of ``elsewhere``.
+
+    The peaks of workers elsewhere are added up, even if they were not simultaneous.
+    """
+
+    def __init__(self, interval_s: float = 0.5, elsewhere: Elsewhere | None = None) -> None:
         self._process = psutil.Process()
+        self._elsewhere = elsewhere or Elsewhere()
+        self._elsewhere.take()
         self._interval = interval_s
         self._stop = threading.Event()
         self.peak_mib = 0.0
@@ -135,5 +162,6 @@ class Meter:
         """{"cpu_s", "peak_mib"} since the start."""
         self._stop.set()
         self._thread.join()
-        cpu_s = max(0.0, self._cpu() - self._start)
-        return {"cpu_s": round(cpu_s, 2), "peak_mib": round(self.peak_mib, 1)}
+        there = self._elsewhere.take()
+        cpu_s = max(0.0, self._cpu() - self._start) + there["cpu_s"]
+        return {"cpu_s": round(cpu_s, 2), "peak_mib": round(self.peak_mib + there["peak_mib"], 1)}

@@ -18,7 +18,7 @@ from tiegraph.project.artefacts import DIED, LOST, OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.inputs import Inputs, Stamps
 from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_pool
-from tiegraph.project.progress import Meter, Reporter
+from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.stages import Receipts, Stage, engines, key_parts, needed, software, stage_keys
 from tiegraph.scene.bags import source_of
 
@@ -37,6 +37,7 @@ class Run:
         self.reporter = reporter or Reporter("quiet")
         self.receipts = Receipts(self.folder)
         self.stamps = Stamps(self.folder)
+        self.elsewhere = Elsewhere()
         check_pool(pool)
         self._pool_spec = pool
         self._executor: Executor | None = None
@@ -76,7 +77,7 @@ class Run:
         """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
             self._serves = start_server() or self._serves
-            place = Place(self.folder, (source_of(self.inputs.images),), say=self.reporter.say)
+            place = Place(self.folder, (source_of(self.inputs.images),), self.elsewhere, say=self.reporter.say)
             self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 
@@ -272,7 +273,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
     run.reporter.event("started", stage=stage.name)
     log.info("stage %s started", stage.name)
     parts = run.parts(stage)
-    start, meter = time.perf_counter(), Meter()
+    start, meter = time.perf_counter(), Meter(elsewhere=run.elsewhere)
     try:
         with run.reporter.stage(stage.name):
             outcome = stage.run(run)
