@@ -108,7 +108,8 @@ def test_files_that_cannot_be_used_are_refused(tmp_path, tiny, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     session.cache_clear()
     with pytest.raises(
-        EngineMissing, match=r"features.engine = onnx needs ONNX Runtime: pip install 'tiegraph\[onnx\]'"
+        EngineMissing,
+        match=r"features.engine = onnx needs onnxruntime, which is not installed: pip install 'tiegraph\[onnx\]'",
     ):
         network(tiny)
 

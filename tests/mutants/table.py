@@ -88,7 +88,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("list: one more than asked", "among_best(i, score, settings.offset_best)",
          "among_best(i, score, settings.offset_best + 1)"),
     ),
-    *_in("000", "network/offsets.py", _CONSTANT,
+    *_in("000", _000, _CONSTANT,
         ("offset: n + m for n - m", "offset = (n + m if backwards else n - m)",
          "offset = (n - m if backwards else n + m)"),
     ),
