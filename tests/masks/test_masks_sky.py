@@ -275,7 +275,7 @@ def iou(a, b):
 @pytest.mark.parametrize("light", ["steady", "changing"])
 def test_platform_is_found_in_any_light(light):
     gains = np.linspace(0.45, 1.2, 14) if light == "changing" else np.ones(14)
-    found = platform_of_frames([scenery(k, g) for k, g in enumerate(gains)], TUNING.platform)
+    found = platform_of_frames([scenery(k, g) for k, g in enumerate(gains)], TUNING.platform)[0]
     truth = platform()[0] | platform()[1]
     assert 0.85 < iou(found, truth) <= 1 and found[~truth].mean() < 0.02
 
@@ -288,12 +288,12 @@ def test_burnt_in_text_is_masked_and_no_outline_of_a_platform(tmp_path):
         across, rng = np.arange(SHAPE[1]), np.random.default_rng(k)
         skyline = 70 + 12 * np.sin(across / 25 + k) + rng.uniform(-10, 10)
         image[np.arange(SHAPE[0])[:, None] < skyline] = 225
-    platform_alone, text = platform_of_frames(frames, TUNING.platform), np.zeros(SHAPE, bool)
+    platform_alone, text = platform_of_frames(frames, TUNING.platform)[0], np.zeros(SHAPE, bool)
     for x, y in places:
         text[y - 9 : y, x : x + 28] = True
         for image in frames:
             cv2.putText(image, "23.4C", (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 0, 1, cv2.LINE_AA)
-    assert iou(platform_of_frames(frames, TUNING.platform), platform_alone) > 0.95
+    assert iou(platform_of_frames(frames, TUNING.platform)[0], platform_alone) > 0.95
     paths = [write(tmp_path / f"{k}.png", image) for k, image in enumerate(frames)]
     mask = learn_platform(paths, TUNING)[1]
     assert mask[text].mean() > 0.97 and mask[platform_alone].mean() > 0.97
@@ -305,7 +305,7 @@ def test_nothing_is_invented_where_everything_moves():
     """And a far skyline that shakes is no platform."""
     rng = np.random.default_rng(3)
     frames = [cv2.GaussianBlur(rng.uniform(0, 255, SHAPE).astype(np.float32), (0, 0), 2) for _ in range(10)]
-    assert not platform_of_frames([f.astype(np.uint8) for f in frames], TUNING.platform).any()
+    assert not platform_of_frames([f.astype(np.uint8) for f in frames], TUNING.platform)[0].any()
     # The upper part stands still but for a shake of a pixel, as a skyline does for a car; the lower part moves.
     far = cv2.GaussianBlur(np.random.default_rng(1).uniform(0, 255, (150, 340)).astype(np.float32), (0, 0), 3)
     frames = []
@@ -316,7 +316,7 @@ def test_nothing_is_invented_where_everything_moves():
         shift = np.array([[1, 0, x - 10], [0, 1, y - 10]], np.float32)
         image[:120] = cv2.warpAffine(far, shift, (320, 120))
         frames.append(np.clip((image - 127) * 4 + 127, 0, 255).astype(np.uint8))
-    assert platform_of_frames(frames, TUNING.platform).mean() < 0.01
+    assert platform_of_frames(frames, TUNING.platform)[0].mean() < 0.01
 
 
 @pytest.mark.slow
@@ -348,7 +348,7 @@ def test_what_is_black_in_every_frame_round_a_fisheye_image_is_no_scene():
     radius = np.hypot(across, down) / SHAPE[0]
     frames = [np.random.default_rng(k).uniform(40, 210, (30, 40)).astype(np.float32) for k in range(10)]
     frames = [np.where(radius > 0.48, 3, cv2.resize(f, SHAPE[::-1])).astype(np.uint8) for f in frames]
-    mask = platform_of_frames(frames, TUNING.platform)
+    mask = platform_of_frames(frames, TUNING.platform)[0]
     assert mask[radius > 0.48].mean() > 0.97 and mask[radius < 0.44].mean() < 0.02
 
 
@@ -433,7 +433,7 @@ def test_a_black_backdrop_is_no_platform():
         u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
         body = (u / a) ** 2 + (v / b) ** 2 < 1
         turned.append(np.where(body, smooth(100 + k, (240, 320), (30, 40), (60, 220)), 0).clip(0, 255).astype(np.uint8))
-    assert not platform_of_frames(turned, TUNING.platform).any()
+    assert not platform_of_frames(turned, TUNING.platform)[0].any()
 
 
 def test_overexposed_areas_that_tie_are_a_surface():

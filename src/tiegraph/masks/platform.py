@@ -80,10 +80,10 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
         return different, None, f"no platform learnt ({why}; {least} are needed)"
     # More add time and no certainty
     frames = _of_one_shape([grey(image) for _, image in read_frames(spread(different, 28), tuning.frames.work_px)])
-    mask = platform_of_frames(frames, tuning.platform)
+    mask, marks = platform_of_frames(frames, tuning.platform)
     if len(frames) < 10:
         mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
-    mask |= marks_of_frames(frames, tuning.platform)
+    mask |= marks
     if not mask.any():
         return different, None, "no platform seen"
     return different, mask, f"platform {100 * mask.mean():.0f} %"
@@ -98,21 +98,18 @@ def learn_marks(images: Sequence[Path], tuning: Tuning) -> np.ndarray | None:
     frames = _of_one_shape([grey(image) for image in _different(zip(read, looks), tuning.platform)])
     if len(frames) < tuning.platform.min_frames:
         return None
-    marks = marks_of_frames(frames, tuning.platform)
+    coherence, shake = _directions(frames, tuning.platform)[0], _shake_px(frames, tuning.platform)
+    marks = _marks(coherence, shake, _median(frames))
     return marks if marks.any() else None
 
 
-def marks_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
-    """Marks (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved.
-
-    They are clear edges that stand still and have more than one direction, with what is between the letters of a word
-    and what a feature beside them would describe: a long edge along which a camera moves stands still too.
-    """
-    clear = _directions(frames, tuning)[0] > _CLEAR
-    still = _long(clear & (_shake_px(frames, tuning) < _STILL_PX))
+def _marks(coherence: np.ndarray, shake: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """Clear edges (h, w) bool that stand still and have more than one direction, with what is between the letters of a
+    word and what a feature beside them would describe: a long edge along which a camera moves stands still too."""
+    still = _long((coherence > _CLEAR) & (shake < _STILL_PX))
     parts = dilated(closed(still, 15), 9)
     count, labels = cv2.connectedComponents(parts.astype(np.uint8), connectivity=8)
-    x, y = (gradient[still] for gradient in _gradient(_median(frames)))
+    x, y = (gradient[still] for gradient in _gradient(picture))
     xx, yy, xy = (np.bincount(labels[still], product, minlength=count) for product in (x * x, y * y, x * y))
     most = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)  # of the eigenvalues of the structure tensor, whose sum ...
     return ((xx + yy - most) > 0.1 * most)[labels] & parts  # ... is that of the squares
@@ -123,15 +120,15 @@ def _of_one_shape(frames: list[np.ndarray]) -> list[np.ndarray]:
     return [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
 
 
-def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
-    """Platform (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
+def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Platform and marks (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
     coherence, departs, textured = _directions(frames, tuning)
-    shake = _shake_px(frames, tuning)
+    shake, picture = _shake_px(frames, tuning), _median(frames)
     # Px that an edge may shake, the clearest more: a far scene shakes more
     still = np.where(coherence > _CLEAR, 0.5, _STILL_PX)
     edges = coherence > tuning.coherent
     fixed = _long(edges & (shake < still))
-    borders = fixed & ~_strokes(fixed, _median(frames))
+    borders = fixed & ~_strokes(fixed, picture)
     shaking = edges & (shake > 0.7)  # a coherent edge that shakes by more px moves
     departs, textured = (_blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (departs, textured))
     moving = departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
@@ -155,7 +152,9 @@ def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> 
     black = _outlined(high < 12.0, borders, tuning)  # a black backdrop ends nowhere in particular
     black = _at_border(black, tuning.min_area)
     # Its rim blurs by 4 px of 640
-    return platform | dilated(black, 2 * round((4 / 640) * max(black.shape)) + 1) if black.any() else platform
+    if black.any():
+        platform |= dilated(black, 2 * round((4 / 640) * max(black.shape)) + 1)
+    return platform, _marks(coherence, shake, picture)
 
 
 def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
