@@ -318,7 +318,7 @@ def open_project(
     unset: Sequence[str] = (),
     **inputs: str | Path | float | None,
 ) -> Project:
-    """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
+    """A project over a folder of images, or the one that a run folder remembers (``out``, or in place of ``images``).
 
     ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, start, times, gcp, marks, tolerance (m).
     Images and inputs may be URLs of a store (``s3://bucket/survey``): ``Project.fetch`` copies them beside ``out``.
@@ -332,6 +332,8 @@ def open_project(
     if unknown:
         raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are {', '.join(known)}")
     _check_texts({"images": images, "out": out, **inputs})
+    if out is None and images is not None and names_run(str(images)):
+        images, out = None, images
     folder = _folder(images, out)
     stores = {url: place_of(url, folder.parent) for given in (images, *inputs.values()) if (url := url_of(given))}
     images, inputs = stores.get(url_of(images), images), {n: stores.get(url_of(v), v) for n, v in inputs.items()}
@@ -352,10 +354,8 @@ def open_project(
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
     for input_name, value in beside.items():
         section, key = SETTING_OF[input_name]
-        values = {
-            **getattr(complete, section).model_dump(),
-            key: value if isinstance(value, int | float) else real_path(value),
-        }
+        own = {key: value if isinstance(value, int | float) else real_path(value)}
+        values = {**getattr(complete, section).model_dump(), **own}
         changed = project_settings.merged({section: values}, where=f"--{input_name}")
         complete = complete.model_copy(update={section: getattr(changed, section)})
     paths = {n: real_path(run[n]) if n in run else None for n in _PATHS}

@@ -27,6 +27,7 @@ from tiegraph.project.settings import (
     sections,
 )
 from tiegraph.project.stages import stage_keys
+from tiegraph.scene.atomic import MARK
 
 
 def test_every_preset_is_valid_and_changes_what_it_says():
@@ -102,6 +103,9 @@ def test_a_project_remembers_inputs_preset_and_settings(tmp_path):
     before = (out / SETTINGS).stat().st_mtime_ns
     again.save()
     assert (out / SETTINGS).stat().st_mtime_ns == before
+    (out / MARK).touch()
+    in_place_of_the_images = open_project(out)
+    assert (in_place_of_the_images.folder, in_place_of_the_images.inputs) == (out, first.inputs)
 
 
 def test_misuse(tmp_path):

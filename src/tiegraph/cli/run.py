@@ -95,7 +95,8 @@ some of its topics, BAG:TOPIC,TOPIC. Of this and every input a URL of a store, s
 what lies there is copied to tiegraph_cache/ beside the run folder."""
 _RUN = """From a folder of images to the cloud and the report.
 
-A second run continues: what is up to date is skipped, finished items of an interrupted stage stay."""
+A second run continues: what is up to date is skipped, finished items of an interrupted stage stay. The run folder may
+then be given in place of the images."""
 
 
 def main(arguments: list[str]) -> int:
