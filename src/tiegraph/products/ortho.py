@@ -19,9 +19,9 @@ from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 _NOTHING = np.float32(1e30)  # a depth
 _STEEPEST = 5.0  # tangent of the incidence angle, for the tolerance of its depth
 _SMOOTH_PX = 5  # raster pixels over which the slope of the surface is taken
-_COVER = 2.0  # raster pixels in one of the buffer, more than the square root of 2: none is left empty
+_COVER = 2.0  # raster pixels in one of the buffer, whose pixels are as far apart as the points that are drawn
 _AGREE_PX = 15  # raster pixels for the share of those whose depth the image confirms
-_LOOK = 16  # raster pixels between those that give the distance of the surface
+_LOOK = 16  # raster pixels between those that give the distance of the surface, and the most between points
 _TILE = 1024  # raster pixels along the edge of what is drawn at once, ...
 _PIECE = 128  # ... and of the pieces of it that an image may see
 
@@ -119,27 +119,28 @@ def draw(
     """The buffer of an image whose pixels may be used by ``mask`` (H, W) bool; ``own``: its depth map, if it has one.
     None if it sees nothing of the surface."""
     tiles = windows_met(view, surface)
-    seen = [project(view, _points(surface, t, heights(t, _LOOK), _LOOK))[2].ravel() for t in tiles]
-    depths = np.concatenate([s[np.isfinite(s)] for s in seen]) if seen else np.zeros(0)
-    if not len(depths):
+    seen = [project(view, _points(surface, t, heights(t, _LOOK), _LOOK))[2] for t in tiles]
+    seen = [z[np.isfinite(z)] for z in seen]
+    if not (depths := np.concatenate([np.zeros(0), *seen])).size:
         return None
-    fine = max(1.0, surface.pixel_m * view.focal / float(np.percentile(depths, 1)))
+    closest = float(np.percentile(depths, 1))
+    fine = max(1.0, surface.pixel_m * view.focal / closest)
     wide, high = (int(np.ceil(s / (_COVER * fine))) for s in view.size)
     size = (wide, high)
     scale = np.array(view.size) / size
     depth = np.full(size[::-1], _NOTHING)
-    for around in (tile.grown(1) for tile in tiles):
-        w = heights(around, 1)
-        rows, columns = _Pieces.of(surface, around, w).seen_by(view)
-        w = w[rows, columns]
-        part = Window(around.row + rows.start, around.column + columns.start, rows=w.shape[0], columns=w.shape[1])
-        for points in _drawn(surface, part, w):
+    for tile, z in zip(tiles, seen):
+        nearest = max(z.min(), closest) if z.size else closest
+        step = round(min(scale.min() * nearest / (surface.pixel_m * view.focal), _LOOK))
+        around = tile.grown(step)
+        for points in _drawn(surface, around, heights(around, step), step):
             x, y, z = project(view, points)
             there = np.isfinite(z)
             column = np.minimum((x[there] / scale[0]).astype(int), size[0] - 1)
             row = np.minimum((y[there] / scale[1]).astype(int), size[1] - 1)
             np.minimum.at(depth, (row, column), z[there].astype(np.float32))
-    depth = cv2.erode(depth, np.ones((3, 3), np.uint8))  # pixels at an edge show some of the nearer surface
+    # What falls between two points is filled, and pixels at an edge show some of the nearer surface.
+    depth = cv2.erode(depth, np.ones((3, 3), np.uint8))
     measured = np.full((2, *size[::-1]), np.nan, np.float32)
     if own is not None:
         for k, values in enumerate((own.depth_m, own.sigma_m)):
@@ -156,17 +157,17 @@ def _points(surface: Surface, window: Window, w: np.ndarray, step: int) -> np.nd
     return surface.frame.in_world(u[known], v[known], w[known])
 
 
-def _drawn(surface: Surface, window: Window, w: np.ndarray) -> list[np.ndarray]:
-    """World points (N, 3) of the pixels of a window and of the faces between neighbours that lie more than a pixel
-    apart in w, as dense as the pixels."""
-    u, v = np.meshgrid(*surface.places(window))
-    out = [_points(surface, window, w, 1)]
+def _drawn(surface: Surface, window: Window, w: np.ndarray, step: int) -> list[np.ndarray]:
+    """World points (N, 3) of the blocks of a window, of ``step`` pixels each, and of the faces between neighbours that
+    lie more than a block apart in w, as dense as the blocks."""
+    u, v = np.meshgrid(*surface.places(window, step))
+    out = [_points(surface, window, w, step)]
     uvw = np.stack([u, v, w], axis=-1)
     for a, b in ((uvw[:, :-1], uvw[:, 1:]), (uvw[:-1], uvw[1:])):
-        rise = np.abs(b[..., 2] - a[..., 2]) / surface.pixel_m
-        steps = np.where(rise > 1, np.ceil(np.nan_to_num(rise)), 0).astype(int)
-        at = np.nonzero(steps)
-        many = steps[at] - 1  # between a and b, which are pixels themselves
+        rise = np.abs(b[..., 2] - a[..., 2]) / (step * surface.pixel_m)
+        parts = np.where(rise > 1, np.ceil(np.nan_to_num(rise)), 0).astype(int)
+        at = np.nonzero(parts)
+        many = parts[at] - 1  # between a and b, which are pixels themselves
         place = 1 + np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
         share = place / np.repeat(many + 1, many)
         low, high = np.repeat(a[at], many, axis=0), np.repeat(b[at], many, axis=0)
