@@ -15,7 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.products import ortho as ortho_engine
 from tiegraph.products.frame import Frame
-from tiegraph.products.ortho import Images, block_px, draw, gains, ortho_margin, ortho_tile, patch
+from tiegraph.products.ortho import Images, block_px, draw, gains, ortho_margin, ortho_tile, patch, score
 from tiegraph.products.raster import Place, read_window, relief, write_raster
 from tiegraph.products.surface import Surface, Window, project
 from tiegraph.products.terrain import Line
@@ -141,7 +141,8 @@ def test_what_no_image_sees_has_no_colour():
     u, v = grid()
     shadow = (u > BOX[0][1] + 3 * PIXEL) & (u < 6.0) & (np.abs(v - 3) < 0.8)
     assert (rgba[3][shadow] == 0).mean() > 0.99 and (source[shadow] == 0).mean() > 0.99
-    free = (u > 1) & (u < BOX[0][0] - 3 * PIXEL) & (np.abs(v - 3) < 1)
+    foot = 4 * PIXEL  # two blocks of two pixels, by which the slope of the ground is told
+    free = (u > 1) & (u < BOX[0][0] - foot) & (np.abs(v - 3) < 1)
     assert (source[free] == 1).all()
 
 
@@ -161,13 +162,13 @@ def test_tiles_do_not_change_the_picture(ortho, images):
 
 @pytest.mark.slow
 def test_what_an_image_cannot_see_is_left_out_without_a_change(monkeypatch):
-    """Pieces of the surface that lie outside of an image are neither drawn nor projected."""
+    """Pieces of the surface that lie outside of an image are not scored for it."""
     longer = [[3, 1, 1], [1, 3, 1], [1, 1, 1]]  # times the focal length: each sees a ninth of what it saw
     close = [replace(v, K=v.K * longer, name=f"close {v.name}") for v in MAP.views()[:2]]
     found, points = [], []
     for size in (10_000, 16):
         monkeypatch.setattr(ortho_engine, "_PIECE", size)
-        monkeypatch.setattr(ortho_engine, "project", lambda v, xyz: points[-1].append(xyz.size) or project(v, xyz))
+        monkeypatch.setattr(ortho_engine, "score", lambda *g: points[-1].append(g[2].xyz.size) or score(*g))
         points.append([])
         images = images_of(MAP, close)
         found.append((*made(MAP, images), *(images.buffer(k).depth for k in range(2))))

@@ -18,10 +18,11 @@ from tiegraph.scene.results import APART_SIGMAS, DepthMap, border_share
 
 _NOTHING = np.float32(1e30)  # a depth
 _STEEPEST = 5.0  # tangent of the incidence angle, for the tolerance of its depth
-_SMOOTH_PX = 5  # raster pixels over which the slope of the surface is taken
+_SMOOTH = 3  # blocks over which the slope of the surface is taken
 _COVER = 2.0  # raster pixels in one of the buffer, whose pixels are as far apart as the points that are drawn
-_AGREE_PX = 15  # raster pixels for the share of those whose depth the image confirms
+_AGREE = 7  # blocks for the share of those whose depth the image confirms
 _LOOK = 16  # raster pixels between those that give the distance of the surface, and the most between points
+_BLOCKS = 2  # raster pixels along the edge of the blocks that are of one image, no larger than a pixel of a buffer
 _TILE = 1024  # raster pixels along the edge of what is drawn at once, ...
 _PIECE = 128  # ... and of the pieces of it that an image may see
 
@@ -34,9 +35,8 @@ _LARGEST_GAIN = 2.0  # of an exposure, either way
 
 Pictures = Callable[[int], np.ndarray]
 """RGB (H, W, 3) u1 of a view by its number."""
-Seen = tuple[tuple[slice, slice], np.ndarray, float]
-"""Of an image in a window: rows and columns around what it sees, which of their pixels it sees, as packed bits, and its
-``Buffer.fine``."""
+Seen = tuple[np.ndarray, float]
+"""Of an image in a window: which of its blocks it sees, and its ``Buffer.fine``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +103,13 @@ class _Pieces:
         return _Pieces(top, left, low=low, high=high)
 
     def seen_by(self, view: Pinhole) -> tuple[slice, slice]:
-        """Rows and columns that surround the pieces of which an image may see something, with a margin; none if there
-        is none."""
+        """Rows and columns of the blocks that surround the pieces of which an image may see something, with a margin;
+        none if there is none."""
         met = _meets(view, self.low, self.high)
         if not met.any():
             return slice(0, 0), slice(0, 0)
-        ends = ((at[met].min() - _AGREE_PX, at[met].max() + _PIECE + _AGREE_PX) for at in (self.row, self.column))
-        rows, columns = (slice(max(int(first), 0), int(last)) for first, last in ends)
+        ends = ((at[met].min() // _BLOCKS, (at[met].max() + _PIECE) // _BLOCKS) for at in (self.row, self.column))
+        rows, columns = (slice(max(int(first) - _AGREE, 0), int(last) + _AGREE) for first, last in ends)
         return rows, columns
 
 
@@ -194,8 +194,8 @@ class Ground:
         """Of heights and their sigmas (rows, columns), of the window's pixels or of blocks of ``step`` of them."""
         u, v = np.meshgrid(*surface.places(window, step))
         known = np.isfinite(w)
-        mean = cv2.blur(np.where(known, w, 0.0), (_SMOOTH_PX, _SMOOTH_PX), borderType=cv2.BORDER_REFLECT)
-        share = cv2.blur(known.astype(float), (_SMOOTH_PX, _SMOOTH_PX), borderType=cv2.BORDER_REFLECT)
+        mean = cv2.blur(np.where(known, w, 0.0), (_SMOOTH, _SMOOTH), borderType=cv2.BORDER_REFLECT)
+        share = cv2.blur(known.astype(float), (_SMOOTH, _SMOOTH), borderType=cv2.BORDER_REFLECT)
         smooth = np.where(known, mean / np.where(known, share, 1.0), 0.0)
         gaps = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
         down, right = np.gradient(smooth, surface.pixel_m * step) if min(w.shape) > 1 else np.zeros((2, *w.shape))
@@ -231,8 +231,8 @@ def score(view: Pinhole, buffer: Buffer, ground: Ground, surface: Surface, tunin
     good[there] = np.minimum(1, surface.pixel_m / size) * away**tuning.angle_power
     good[there] *= np.minimum(1, buffer.border[row, column] / tuning.border)
     seen[there], agrees[there] = free, free & (np.abs(behind) <= close)
-    seen &= cv2.medianBlur((seen | ~there).astype(np.uint8), 5) > 0  # without specks in hidden areas
-    share = cv2.blur(agrees, (_AGREE_PX, _AGREE_PX), borderType=cv2.BORDER_REFLECT)
+    seen &= cv2.medianBlur((seen | ~there).astype(np.uint8), 3) > 0  # without specks in hidden areas
+    share = cv2.blur(agrees, (_AGREE, _AGREE), borderType=cv2.BORDER_REFLECT)
     return np.where(seen, good * (tuning.unconfirmed + share), 0.0).astype(np.float32)
 
 
@@ -329,8 +329,11 @@ def ortho_tile(
     is of, 0 = of none. ``heights`` and ``sigma`` are those of the window with its margin."""
     wide = ortho_margin(tuning)
     around = window.grown(wide)
-    ground, pieces = Ground.of(surface, around, heights, sigma), _Pieces.of(surface, around, heights)
-    best, source = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.uint16)
+    pieces, lowest = _Pieces.of(surface, around, heights), heights
+    for axis in (0, 1):  # the lowest pixel of a block: an image that sees it sees the others
+        lowest = np.fmin.reduceat(lowest, np.arange(0, heights.shape[axis], _BLOCKS), axis=axis)
+    ground = Ground.of(surface, around, lowest, sigma[::_BLOCKS, ::_BLOCKS], _BLOCKS)
+    best, source = np.zeros(lowest.shape, np.float32), np.zeros(lowest.shape, np.uint16)
     seen: dict[int, Seen] = {}
     for k, view in enumerate(images.views):
         where = pieces.seen_by(view) if meets(view, surface, around) else (slice(0, 0), slice(0, 0))
@@ -340,42 +343,54 @@ def ortho_tile(
         found = score(view, buffer, ground.part(where), surface, tuning)
         better = found > best[where]
         if better.any():
-            seen[k] = where, np.packbits(found > 0), buffer.fine
+            seen[k] = np.zeros(best.shape, bool), buffer.fine
+            seen[k][0][where] = found > 0
             best[where][better], source[where][better] = found[better], k + 1
-    rgb = _blended(ground, source, seen, images, tuning)
+    source = np.where(np.isfinite(heights), _pixels(source, heights.shape), 0).astype(np.uint16)
+    xyz = surface.frame.in_world(*np.meshgrid(*surface.places(around)), heights)
+    rgb = _blended(xyz, source, seen, images, tuning)
     inner = slice(wide, wide + window.rows), slice(wide, wide + window.columns)
     alpha = np.where(source > 0, 255, 0).astype(np.uint8)
     return np.concatenate([rgb, alpha[..., None]], axis=-1)[inner].transpose(2, 0, 1), source[inner]
 
 
+def _pixels(blocks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The values of blocks at their pixels (rows, columns)."""
+    return blocks.repeat(_BLOCKS, axis=0).repeat(_BLOCKS, axis=1)[: shape[0], : shape[1]]
+
+
 def _blended(
-    ground: Ground, source: np.ndarray, seen: dict[int, Seen], images: Images, tuning: OrthoTuning
+    xyz: np.ndarray, source: np.ndarray, seen: dict[int, Seen], images: Images, tuning: OrthoTuning
 ) -> np.ndarray:
-    """RGB (rows, columns, 3) u1 by the sources (rows, columns), with blended seams; ``seen``: by image.
+    """RGB (rows, columns, 3) u1 of points (rows, columns, 3) by their sources (rows, columns), with blended seams;
+    ``seen``: by image.
 
     Where an image does not see a pixel it gets the colour of the one that does, so that occlusions do not show; where
     none does all have that of the nearest pixel.
     """
     rgb = np.zeros((*source.shape, 3), np.uint8)
-    warped: dict[int, np.ndarray] = {}
-    for k in (int(s) - 1 for s in np.unique(source) if s):
-        where, _, fine = seen[k]
-        colours = warp(images.views[k], images.picture(k), ground.xyz[where], fine)
-        warped[k] = np.clip(np.rint(colours * images.gains[k]), 0, 255).astype(np.uint8)
-        own = source[where] == k + 1
-        rgb[where][own] = warped[k][own]
-    if len(warped) < 2:
+    if not (source > 0).any():
         return rgb
     nearest = distance_transform_edt(source == 0, return_distances=False, return_indices=True)
-    owner, around = source[tuple(nearest)], rgb[tuple(nearest)].astype(np.int16)
+    owner, wide = source[tuple(nearest)], ortho_margin(tuning)
+    warped: dict[int, tuple[tuple[slice, slice], np.ndarray]] = {}
+    for k in (int(s) - 1 for s in np.unique(owner)):
+        ends = (np.flatnonzero((owner == k + 1).any(axis=axis))[[0, -1]] for axis in (1, 0))
+        rows, columns = (slice(max(0, first - wide), last + 1 + wide) for first, last in ends)
+        part = rows, columns
+        colours = warp(images.views[k], images.picture(k), xyz[part], seen[k][1])
+        warped[k] = part, np.clip(np.rint(colours * images.gains[k]), 0, 255).astype(np.uint8)
+        own = source[part] == k + 1
+        rgb[part][own] = warped[k][1][own]
+    if len(warped) < 2:
+        return rgb
+    around = rgb[tuple(nearest)].astype(np.int16)
     blender = cv2.detail.MultiBandBlender(0, tuning.bands)
     blender.prepare((0, 0, source.shape[1], source.shape[0]))
-    for k, colours in warped.items():
-        where, bits, _ = seen[k]
-        known = source[where] > 0
-        visible = np.unpackbits(bits, count=known.size).reshape(known.shape) > 0
-        filled = around.copy()
-        filled[where][visible & known] = colours[visible & known]
-        blender.feed(filled, np.where(owner == k + 1, 255, 0).astype(np.uint8), (0, 0))
+    for k, (part, colours) in warped.items():
+        known = (source[part] > 0) & _pixels(seen[k][0], source.shape)[part]
+        filled = np.where(known[..., None], colours, around[part])
+        mask = np.where(owner[part] == k + 1, 255, 0).astype(np.uint8)
+        blender.feed(filled, mask, (part[1].start, part[0].start))
     blended, _ = blender.blend(None, None)  # type: ignore[call-overload]  # it makes them
     return np.where(source[..., None] > 0, np.clip(blended, 0, 255), 0).astype(np.uint8)
