@@ -223,7 +223,7 @@ def test_the_command_line_takes_a_bag_and_stores_nothing_wrong(
     assert main([*run, "--gnss", f"{path}:/gps/fix"]) == 0
     (tmp_path / "plain.txt").write_text("no bag")
     assert main(["run", str(tmp_path / "plain.txt"), "--until", "scan"]) != 0
-    assert "is a file; give the folder" in capsys.readouterr().err
+    assert "is a file, and no video or bag; give the folder" in capsys.readouterr().err
 
 
 def test_bags_beside_images_and_broken_ones_are_said(tmp_path: Path) -> None:

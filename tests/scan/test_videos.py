@@ -23,7 +23,6 @@ from tiegraph.scan.tuning import Tuning
 from tiegraph.scan.videos.video import (
     OpenVideo,
     Pictures,
-    find_videos,
     nearest,
     picture_folders,
     sharpest,
@@ -32,7 +31,7 @@ from tiegraph.scan.videos.video import (
 from tiegraph.scan.videos.videooffset import Film, MotionCurve, films_together, find_offset, motion_curve, offsets_given
 from tiegraph.scan.videos.videotime import VideoClock, read_subtitles, video_clock
 from tiegraph.scene.exif import Exif, Taken, exif_of, read_exif
-from tiegraph.scene.images import has_images
+from tiegraph.scene.images import find_videos, has_images
 from video_world import Shake, film, pictures
 
 
@@ -71,8 +70,9 @@ def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
     for k, name in enumerate(("morning.avi", "noon.avi")):
         seconds_of(tmp_path / "in" / name, 20, seed=k)
     videos = find_videos(tmp_path / "in")
-    for name, folder in zip(videos, picture_folders(videos)):
-        take(tmp_path / "in" / name, tmp_path / "out" / folder, 1.0)
+    assert find_videos(videos[1]) == [videos[1]]  # one may be given alone
+    for video, folder in zip(videos, picture_folders([v.name for v in videos])):
+        take(video, tmp_path / "out" / folder, 1.0)
     scene = scan(tmp_path / "out", video=True)
     assert (len(scene), scene.sequences, len(scene.all_sensors)) == (40, ("morning", "noon"), 1)
 
@@ -101,7 +101,7 @@ def test_what_is_no_video_is_said(tmp_path: Path) -> None:
     broken.parent.mkdir()
     broken.write_bytes(b"no video at all" * 100)
     assert "a.mp4 cannot be decoded" in take(broken, tmp_path / "out" / "a", 2.0).said
-    assert not has_images(tmp_path / "out") and find_videos(tmp_path / "in") == ["a.mp4"]
+    assert not has_images(tmp_path / "out") and find_videos(tmp_path / "in") == [broken]
     assert picture_folders(["x/a.mp4", "x/a.mov", "x/b.mp4"]) == ["x/a_mp4", "x/a_mov", "x/b"]
 
 

@@ -90,9 +90,9 @@ class RunOptions(Survey):
     """A named way of working: default, fast, close-range, conventional, meguro2024, meguro2025."""
 
 
-_IMAGES = """The folder that holds the images, in any of the layouts the README names, videos or ROS bags; or a bag, or
-some of its topics, BAG:TOPIC,TOPIC. Of this and every input a URL of a store, such as s3://BUCKET/SURVEY, can be given:
-what lies there is copied to tiegraph_cache/ beside the run folder."""
+_IMAGES = """The folder that holds the images, in any of the layouts the README names, videos or ROS bags; or a video, a
+bag, or some of its topics, BAG:TOPIC,TOPIC. Of this and every input a URL of a store, such as s3://BUCKET/SURVEY, can
+be given: what lies there is copied to tiegraph_cache/ beside the run folder."""
 _RUN = """From a folder of images to the cloud and the report.
 
 A second run continues: what is up to date is skipped, finished items of an interrupted stage stay. The run folder may

@@ -33,12 +33,11 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
-from tiegraph.scan.videos.video import find_videos
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.bags import is_bag, source_of
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import EIGHT_BIT
-from tiegraph.scene.images import find_images, probe_image
+from tiegraph.scene.images import find_images, find_videos, probe_image
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import planned_sigma

@@ -26,7 +26,6 @@ from tiegraph.scan.videos.video import (
     NEAREST_STEPS,
     Pictures,
     check_film,
-    find_videos,
     is_of_lens,
     nearest,
     open_film,
@@ -47,7 +46,7 @@ from tiegraph.scan.videos.videooffset import (
 from tiegraph.scan.videos.videotime import CREATION_APART_S, VideoClock, video_clock
 from tiegraph.scene.bags import source_of, split_topics
 from tiegraph.scene.composed import carrying
-from tiegraph.scene.images import find_images, has_images, search_images
+from tiegraph.scene.images import find_images, find_videos, has_images, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
 from tiegraph.scene.scene import Scene
@@ -169,7 +168,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
     Raises InputError if start times of a rig's videos are undecided, for fewer than two pictures, and as ``bag_films``.
     """
     images, asked = split_topics(run.inputs.images)
-    found = [images / v for v in find_videos(images)] if images.is_dir() and not asked else []
+    found = [] if asked else find_videos(images)
     bags = find_bags(images)
     if asked and not bags:
         raise InputError(f"{run.inputs.images}: no bag there that could have topics")

@@ -22,7 +22,7 @@ from tiegraph.project.stages import PLACE as SOURCE_PLACE
 from tiegraph.project.stages import digests, write_atomic
 from tiegraph.scene.atomic import names_file, regular
 from tiegraph.scene.bags import is_bag, source_of, split_topics
-from tiegraph.scene.images import searched
+from tiegraph.scene.images import find_videos, searched
 from tiegraph.scene.namedposes import find_start
 
 PLACE = "receipts/inputs.json"
@@ -181,8 +181,8 @@ class Inputs:
         images = source_of(self.images)
         if not images.exists():
             raise InputError(f"{images}: no such folder; give the folder with the survey's images")
-        if not images.is_dir() and not is_bag(images):
-            raise InputError(f"{images} is a file; give the folder with the survey's images")
+        if not images.is_dir() and not is_bag(images) and not find_videos(images):
+            raise InputError(f"{images} is a file, and no video or bag; give the folder with the survey's images")
         if self.start is not None and self.trajectory is not None:
             raise InputError(
                 f"--start {self.start} and --trajectory {self.trajectory}: both give poses: omit one (if it is "

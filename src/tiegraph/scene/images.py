@@ -34,6 +34,7 @@ SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".bmp", "
 UNREADABLE = (".jxl", ".gif")  # found, and refused by name, so that they are not missed silently
 # Formats of cameras only, which keep a JPEG beside or are exported as one
 OF_CAMERAS = (".heic", ".heif", ".hif", *RAW)
+VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
 # Folders of network storage and of systems, with thumbnails and deleted files.
@@ -94,6 +95,12 @@ def search_images(root: Path) -> tuple[list[str], list[str]]:
 def searched(root: Path) -> Path:
     """The folder that is searched for images: ``images`` below ``root`` if there is one, else ``root`` itself."""
     return root / IMAGES_FOLDER if (root / IMAGES_FOLDER).is_dir() else root
+
+
+def find_videos(root: Path) -> list[Path]:
+    """The videos below a folder, sorted; hidden ones are skipped. Or ``root`` alone, if it is one."""
+    files = [root] if root.is_file() else files_below(root) if root.is_dir() else []
+    return sorted(f for f in files if f.suffix.lower() in VIDEOS)
 
 
 def find_images(root: Path) -> list[str]:

@@ -24,10 +24,8 @@ from tiegraph.scan.videos.bagfilms import BagFilm
 from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.atomic import real_path, regular, replacing, scratch_folder
 from tiegraph.scene.bags import open_bag
-from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 
-SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 # Steps up to which frames of a rig's other cameras are taken: half a one, and a margin for stamps in whole milliseconds
 NEAREST_STEPS = 0.75
 _TAKEN = ".taken.json"  # hidden: no image
@@ -50,11 +48,6 @@ class Pictures:
     numbers: tuple[int, ...] = ()
     stamps_s: tuple[float, ...] = ()
     said: str = ""
-
-
-def find_videos(root: Path) -> list[str]:
-    """Names (POSIX, relative to ``root``, sorted) of the videos below a folder; hidden ones are skipped."""
-    return sorted(f.relative_to(root).as_posix() for f in files_below(root) if f.suffix.lower() in SUFFIXES)
 
 
 def picture_folders(videos: Sequence[str]) -> list[str]:
