@@ -142,7 +142,7 @@ def odometry_of(made: worlds.Survey, folder: Path) -> Path:
 
 
 def test_two_passes_with_odometry_of_their_own_end_in_one_model(tmp_path: Path) -> None:
-    made = worlds.make_survey(tmp_path / "images", frames=4, size=(256, 192))
+    made = worlds.make_survey(tmp_path / "images", frames=4)
     write_rig_toml(made.rig, tmp_path / "rig.toml")
     given = {
         "rig": tmp_path / "rig.toml",
