@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+import tiegraph
+
 pytestmark = pytest.mark.slow
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -23,7 +25,19 @@ def text(notebook: dict[str, Any]) -> str:
     return "".join("".join(o.get("text", ())) for cell in notebook["cells"] for o in cell.get("outputs", ()))
 
 
-@pytest.mark.usefixtures("children_are_functions")
+@pytest.fixture
+def small_maps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depth maps of a third of the side that the notebooks ask for, and a coarser cloud."""
+    whole = tiegraph.open
+    coarse = {"dense": {"max_image_size": 160, "partners": 3}, "cloud": {"voxel_size": 0.2}}
+
+    def opened(*given: Any, settings: dict | None = None, **more: Any) -> Any:
+        return whole(*given, settings=settings and settings | coarse, **more)
+
+    monkeypatch.setattr(tiegraph, "open", opened)
+
+
+@pytest.mark.usefixtures("children_are_functions", "small_maps")
 def test_the_notebooks_run_and_give_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runner = runpy.run_path(str(DOCS / "notebooks.py"))
     monkeypatch.chdir(tmp_path)

@@ -69,7 +69,8 @@ def test_a_survey_is_made_by_the_plugins_of_the_example(tmp_path: Path, monkeypa
     install(tmp_path, groups)
     for folder in (tmp_path, EXAMPLE):
         monkeypatch.syspath_prepend(folder)
-    project = tiegraph.open(survey.images, tmp_path / "out", settings=ALL, pool="serial", **given)
+    coarse = {"cloud": {"voxel_size": 0.1}}
+    project = tiegraph.open(survey.images, tmp_path / "out", settings=ALL | coarse, pool="serial", **given)
     project.run(until="products")
     for stage in ALL:
         assert project.receipt(stage)["software"]["tiegraph-caption"] == "0.1.0", stage

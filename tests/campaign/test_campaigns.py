@@ -12,10 +12,10 @@ from campaign.run import Plan, campaign, failures, table
 from campaign.world import NAMES, World
 
 pytestmark = pytest.mark.slow
-# A case costs what is left of the survey after its stage, so late ones: a kill in `dense` (test_resume has all stages),
-# a full disk in `dense`, a limit to files in `evaluate`; artefacts of three stages; one input of each kind.
+# A case costs what is left of the survey after its stage, so late ones: a kill in `products` (test_resume has all
+# stages), a full disk in `dense`, a limit to files in `evaluate`; artefacts of three stages; one input of each kind.
 _KINDS = (*range(10), 11, 12, 21)
-_SHORT = {"kills": (NAMES.index("dense"),), "disks": (8, 7), "artefacts": (4, 12, 16), "inputs": _KINDS}
+_SHORT = {"kills": (NAMES.index("products"),), "disks": (8, 7), "artefacts": (4, 12, 16), "inputs": _KINDS}
 _SEED = 14
 
 

@@ -37,11 +37,6 @@ def test_inverses_undo_and_quaternions_come_back(rotvec, t):
     np.testing.assert_allclose(transforms.from_quaternion_wxyz(np.roll(q, 1), t), a, atol=1e-9)
 
 
-def test_angle_between_rotations():
-    a, b = np.eye(3), Rotation.from_euler("y", 72, degrees=True).as_matrix()
-    assert abs(transforms.angle_deg(a, b) - 72) < 1e-9
-
-
 def test_interpolation_is_halfway_and_respects_gaps():
     times = np.array([0.0, 2.0, 10.0])
     poses = np.stack([pose(np.array([0, 0, 0.0]), [0, 0, 0]), pose(np.array([0, 0, 50.0]), [4, 0, 0]),

@@ -231,7 +231,7 @@ def test_place_clock_and_scale_of_a_wobbling_path() -> None:
 
 @pytest.mark.slow
 def test_a_straight_path_says_what_it_leaves_open() -> None:
-    rig, lidar = _both(wobble=0.0)
+    rig, lidar = _both(seconds=6, wobble=0.0)
     found = hand_eye(rig, lidar, clock_s=_CLOCK_S)
     assert found.clock_s == _CLOCK_S and np.isnan(found.clock_sigma_s)
     assert sum("lever arm" in what for what in found.left_open) == 3

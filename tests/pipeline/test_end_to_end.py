@@ -12,15 +12,14 @@ import laspy
 import numpy as np
 import pytest
 
-import here
 import tiegraph
 import worlds
 from accuracy_marks import check, unmarked
+from campaign.world import FRAMES, SIZE
 from said import refused
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.evaluate.reference import model_poses
-from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
 from tiegraph.pipeline import STAGES
@@ -28,7 +27,6 @@ from tiegraph.pipeline.baseline import lay_out
 from tiegraph.project.run import Run
 from tiegraph.project.stages import needed
 from tiegraph.report.accuracy import terminal_lines
-from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.results import LAYERS, Accuracy
 
 pytestmark = pytest.mark.slow
@@ -37,53 +35,37 @@ _PATIENCE_S = 400
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("survey")
-    return worlds.make_survey(folder / "images", frames=4), folder
+    """The truth of the survey of all whole runs."""
+    return worlds.make_survey(tmp_path_factory.mktemp("survey") / "images", frames=FRAMES, size=SIZE)
 
 
 @pytest.fixture(scope="module")
-def project(survey):
-    made, folder = survey
-    write_rig_toml(made.rig, folder / "rig.toml")
-    inputs = {
-        "rig": folder / "rig.toml",
-        "gnss": worlds.write_gnss(made, folder / "gnss.csv"),
-        "times": worlds.write_times(made, folder / "times.csv"),
-    }
-    # Walls fill these small images, so that first and last frame are too alike for masks from their difference.
-    settings = {"masks": {"source": "none"}, "cloud": {"voxel_size": 0.05}}
-    opened = tiegraph.open(made.images, folder / "out", pool="serial", settings=settings, tolerance=5.0, **inputs)
-    with pytest.MonkeyPatch.context() as patch:
-        here.patch(patch)
-        return opened.run()
-
-
-def true_centres(made, names):
-    return np.array([transforms.centre(made.cam_from_world[n]) for n in names])
+def project(finished, tmp_path_factory):
+    """The finished survey, with a tolerance asked afterwards."""
+    folder = finished.after(STAGES[-1].name, tmp_path_factory.mktemp("project") / "out")
+    return tiegraph.open(out=folder, pool="serial", tolerance=5.0).run()
 
 
 def test_every_image_is_in_one_model_and_in_its_place(project, survey):
-    made, _ = survey
     scene = project.scene()
     poses = model_poses(project.model(), scene)
-    assert poses.placed.all() and len(scene) == 16
-    truth = true_centres(made, scene.names)
+    assert poses.placed.all() and len(scene) == 12
+    truth = survey.centres_m(list(scene.names))
     fit = umeyama(poses.centres(), truth)
     error = np.linalg.norm(fit(poses.centres()) - truth, axis=1)
     assert 1e-5 < np.sqrt(np.mean(error**2)) < 0.02
     world = world_from_geodetic(geodetic_from_world(truth, worlds.ORIGIN), scene.origin)
     absolute = np.linalg.norm(poses.centres() - world, axis=1)
-    assert 0.001 < np.median(absolute) < 0.1, "2 cm GNSS noise over 8 frames"
+    assert 0.001 < np.median(absolute) < 0.1, "2 cm GNSS noise over 6 frames"
 
 
 def test_cloud_lies_on_the_walls_and_in_the_crs(project, survey):
     cloud = project.cloud()
-    assert len(cloud) > 20_000 and np.median(cloud.views) >= 3
+    assert 4000 < len(cloud) < 16_000 and np.median(cloud.views) >= 3
     geodetic = geodetic_from_world(cloud.xyz_m, project.scene().origin)
     local = world_from_geodetic(geodetic, worlds.ORIGIN)
-    made, _ = survey
-    gap = np.min([outside(local, box) for box in made.world.boxes_m], axis=0)
-    assert np.median(gap) < 0.06 and np.quantile(gap, 0.9) < 0.3
+    gap = np.min([outside(local, box) for box in survey.world.boxes_m], axis=0)
+    assert 0.002 < np.median(gap) < 0.06 and np.quantile(gap, 0.9) < 0.15
     with laspy.open(project.folder / "cloud.laz") as las:
         assert las.header.parse_crs().to_epsg() == 32654
         assert {"sigma_m", "views"} <= set(las.header.point_format.extra_dimension_names)
@@ -109,7 +91,7 @@ def outside(points, box):
 
 def test_report_is_one_offline_page(project):
     text = project.report().read_text()
-    assert "16 of 16 images" in text
+    assert "12 of 12 images" in text
     assert not re.search(r'(?:src|href)="(?!data:|#)', text), "everything is inside the page"
     heads = re.findall(r"<h2[^>]*>([^<]*)", text)
     assert heads[0].startswith("The survey is")
@@ -123,9 +105,11 @@ def test_report_is_one_offline_page(project):
 def test_every_accuracy_has_one_source(project):
     page, folder = project.report().read_text(), project.folder
     said = Accuracy.from_dict(json.loads((folder / "metrics.json").read_text())["accuracy"])
-    assert set(said.values()) <= check(folder, page) and unmarked(page) == []
+    assert set(said.values()) <= check(folder, page)
+    (about_rig,) = unmarked(page)  # a note on the times of the cameras, which are no accuracy of the survey
+    assert "whether cam1 fires at the same time as cam0 (sigma" in about_rig
     assert 0.005 < said.figure("world").predicted < 5 and 0.001 < said.figure("point").predicted < 0.5
-    assert said.held_by == "GNSS positions of RTK quality of 8 of 8 frames" and 0 < said.placement["tilt_deg"] < 10
+    assert said.held_by == "GNSS positions of RTK quality of 6 of 6 frames" and 0 < said.placement["tilt_deg"] < 10
     assert said.answer.said == "cannot be told" and "check points" in said.answer.remedy
     lines = terminal_lines(folder / "metrics.json")
     assert len(lines) == 4 and lines[0].startswith("Tolerance of 5.00 m in the world: cannot be told.")
@@ -222,7 +206,7 @@ def test_presets_run_to_a_model(preset, finished, server, tmp_path):
     assert project.preset == preset and 6 <= project.receipt("sparse")["counts"]["registered"] <= 12
 
 
-def test_another_method_on_the_same_images(project, survey, tmp_path, capsys):
+def test_another_method_on_the_same_images(project, tmp_path, capsys):
     out = tmp_path / "block"
     asked = ["compare", "--baseline", "colmap", "--sample", "99", str(project.folder), "-o", str(out), "--quiet"]
     assert main(asked) == 0
@@ -234,29 +218,29 @@ def test_another_method_on_the_same_images(project, survey, tmp_path, capsys):
     to_georef = [s.name for s in needed(STAGES, "georef")]
     own = sum(project.receipt(stage)["cpu_s"] for stage in to_georef)
     assert registered[0] == len(project.registered()) and cpu_s[0] == pytest.approx(own, rel=1e-3)
-    assert 0 <= registered[1] <= 16 and cpu_s[1] > 0 and rows["images"][:2] == [16, 16]
+    assert 0 <= registered[1] <= 12 and cpu_s[1] > 0 and rows["images"][:2] == [12, 12]
     assert rows["ATE, m"][0] == pytest.approx(0, abs=1e-6)  # its own poses
     # finished work is taken over, and another block has no place there
     before = (out / "colmap" / "stages.json").read_bytes()
     project.baseline("colmap", 99, out)
     assert (out / "colmap" / "stages.json").read_bytes() == before
     with refused("contains other files"):
-        project.baseline("colmap", 12, out)
+        project.baseline("colmap", 8, out)
 
 
-def test_a_block_is_a_folder_of_links(project, survey, tmp_path):
+def test_a_block_is_a_folder_of_links(project, finished, tmp_path):
     run = Run(project.folder, project.inputs, project.settings)
-    block = lay_out(run, 12, tmp_path / "block")
+    block = lay_out(run, 8, tmp_path / "block")
     files = sorted(p for p in block.images.rglob("*") if p.is_symlink())
-    assert len(files) == len(block.scene) == 12 and not block.whole
+    assert len(files) == len(block.scene) == 8 and not block.whole
     assert {p.relative_to(block.images).as_posix() for p in files} == set(block.scene.names)
-    assert all(p.samefile(survey[0].images / p.relative_to(block.images)) for p in files)
+    assert all(p.samefile(finished.inputs / "images" / p.relative_to(block.images)) for p in files)
     with refused("--sample 5: give at least 6"):
         lay_out(run, 5, tmp_path / "other")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "a.txt").write_text("")
     with refused("contains other files"):
-        lay_out(run, 12, tmp_path / "mine")
+        lay_out(run, 8, tmp_path / "mine")
     with pytest.raises(SettingsError, match="unknown baseline 'colmp'"):
         project.baseline("colmp", 12)
 

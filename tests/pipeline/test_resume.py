@@ -89,11 +89,13 @@ def test_second_run_does_nothing(finished, server, tmp_path):
 
 
 def test_serial_and_processes_make_the_same_bytes(finished, server, tmp_path):
-    """With a rig that is not known, to the world; ``test_resume`` says so of all stages and of a calibrated rig."""
+    """With a rig that is not known, to the world; ``test_killed_in_every_stage`` says so of a calibrated rig, of masks
+    and of all stages."""
     survey = finished.inputs
 
     def command(pool: str) -> list[str]:
         asked = ["run", survey / "images", "-o", tmp_path / pool, "--pool", pool, "--until", "georef", "--quiet"]
+        asked += ["--masks.source", "none"]
         given = [word for name in ("gnss", "times") for word in (f"--{name}", survey / f"{name}.csv")]
         return [str(word) for word in (*asked, *given)]
 
@@ -156,14 +158,11 @@ def ended(running: Running, within_s: float = _STOP_S) -> tuple[int | None, str]
     return end.code, end.text
 
 
-STOPS = [
-    ("scan", signal.SIGINT, True),
+STOPS = [  # in the process itself, in workers and in a child of a stage; with the whole group, and the process alone
     ("masks", signal.SIGTERM, False),
     ("candidates", signal.SIGHUP, True),
-    ("features", signal.SIGINT, False),
     ("match", signal.SIGINT, True),
     ("match", signal.SIGTERM, False),
-    ("sparse", signal.SIGTERM, True),
     ("dense", signal.SIGINT, True),
 ]
 
@@ -211,7 +210,7 @@ def in_group(group: int) -> list[psutil.Process]:
     return psutil.wait_procs(there, timeout=10)[1]
 
 
-LOSSES = [("candidates", False), ("match", True), ("sparse", True), ("dense", False)]
+LOSSES = [("match", True), ("dense", False)]
 
 
 @pytest.mark.parametrize("stage, child", LOSSES)

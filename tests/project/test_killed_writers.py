@@ -125,8 +125,9 @@ WRITERS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("marked", [True, False], ids=["run folder", "elsewhere"])
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize(
+    "name, marked", [*((n, True) for n in WRITERS), *((n, False) for n in ("text", "folder", "database"))]
+)
 def test_a_writer_that_is_killed_at_any_step(tmp_path: Path, name: str, marked: bool) -> None:
     """In a run folder what is left goes when that is opened, elsewhere when the same is written again."""
     step = 1

@@ -428,7 +428,7 @@ def test_stages_within_stages_keep_to_their_own(make):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", ["{", "[]", "", "\x00\x01"])
+@pytest.mark.parametrize("damage", ["{", "[]"])
 @pytest.mark.parametrize("which", ["receipts/many.json", "receipts/files/many.json", "receipts/folder.json"])
 def test_a_damaged_receipt_costs_its_stage_and_nothing_else(make, which, damage):
     ran(make())

@@ -224,12 +224,6 @@ def test_a_model_of_more_images_is_no_error(tmp_path: Path) -> None:
     assert says(scene.notes, "3 images by their names; 3 of 6 frames have none")
 
 
-def test_a_model_of_other_images_is_refused(tmp_path: Path) -> None:
-    start = read_start(in_passes(tmp_path, ["x.jpg", "y.jpg", "z.jpg"]))
-    with refused(r"none of its 3 images is here: x.jpg"):
-        scan(photographs(tmp_path), LOOSE, start=start)
-
-
 # --- units and places -----------------------------------------------------------------------------------------------
 
 

@@ -162,7 +162,7 @@ def test_exchanged_axes_are_said_of_a_whole_model_only(world) -> None:
 
 def test_of_a_right_survey_chance_alone_never_says_a_mirror_image(world) -> None:
     """Not where positions are so poor that they hardly tell the model's shape."""
-    for seed in (0, 3, 8, 9, 19):  # of twenty those that fit best with exchanged axes, at most 1.02 times better
+    for seed in (9, 19):  # of twenty those that fit best with exchanged axes, 1.018 and 1.010 times better
         found = world.placed_by(world.measured(10.0, seed))
         assert found.placed and not any("mirror image" in c for c in found.findings.contradictions)
 

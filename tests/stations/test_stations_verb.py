@@ -95,8 +95,8 @@ ANGLES = (0.0, 30.0, 60.0)
 def made(tmp_path_factory):
     """Three stations and two of another object, as `tiegraph shots` leaves them; joined."""
     folder = tmp_path_factory.mktemp("stations")
-    some = views(ANGLES)
-    for k, view in enumerate([*some, *views([0.0, 30.0], seed=3)]):
+    some = views(ANGLES, points=15_000)
+    for k, view in enumerate([*some, *views([0.0, 30.0], seed=3, points=15_000)]):
         write_view(view, folder / "run" / "shots" / f"walk_{k:06d}.ply")
     (folder / "fewer.toml").write_text("[tuning.stations.precision]\nbands = 4\n")
     more = ["--tuning", str(folder / "fewer.toml"), "--quiet"]
