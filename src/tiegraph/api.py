@@ -233,7 +233,7 @@ class Project:
     def coverage(self, chosen: bool = False) -> Coverage:
         """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?
         ``chosen``: those that the design chose to be matched."""
-        from tiegraph.pipeline.design import coverage_of  # loads the engine
+        from tiegraph.pipeline.network import coverage_of  # loads the engine
 
         self._needed(*(("pairs.npz", "design") if chosen else ("network.npz", "network")))
         return coverage_of(self.as_run(), chosen)
@@ -241,7 +241,7 @@ class Project:
     def surface(self) -> CoveredSurface | None:
         """How well the surface is covered, by the coarse model: by how many images, under which angles, with what
         precision, and where to go again; None if there is no such model."""
-        from tiegraph.pipeline.design import surface_of  # loads the engine
+        from tiegraph.pipeline.network import surface_of  # loads the engine
 
         self._needed("network.npz", "network")
         return surface_of(self.as_run())

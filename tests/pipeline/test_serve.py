@@ -18,7 +18,7 @@ import pytest
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.pipeline.serve import OPTIONS, ServeServer, Session
-from tiegraph.report.pdf import find_browser
+from tiegraph.report.html import find_browser
 from worlds import make_survey
 
 

@@ -22,7 +22,7 @@ from tiegraph.cli.main import main
 from tiegraph.errors import EngineMissing
 from tiegraph.pipeline.pages import ViewServer
 from tiegraph.pipeline.view import CLOUD, open_view
-from tiegraph.report.pdf import find_browser
+from tiegraph.report.html import find_browser
 from tiegraph.scene.atomic import MARK
 from view.view_world import as_run
 

@@ -1,6 +1,10 @@
-"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer."""
+"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer. And
+report.pdf: the page printed by a headless browser, because nothing else lays it out as it is read."""
 
+import os
 import re
+import shutil
+import subprocess
 from datetime import datetime, timezone
 from functools import cache
 from pathlib import Path
@@ -10,6 +14,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from tiegraph.errors import EngineMissing, InputError
 from tiegraph.report import accuracy, formatting, maps, summary
 from tiegraph.report.client import client_page, json_text
 from tiegraph.report.cloudview import viewer_part, views
@@ -29,7 +34,7 @@ from tiegraph.report.parts import (
 from tiegraph.report.runfolder import Model, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.texts import capital, current, language, said, t
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.scene import Scene
 from tiegraph.text import printable
 
@@ -308,3 +313,44 @@ def _space(run: RunFolder, seen: maps.Scenery | None, settings: ReportSettings) 
         "views": [*views(run, seen), *product_views(run)],
         **viewer_part(run, seen, settings.viewer_points),
     }
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
+_BEGIN = b"%PDF"
+_REMEDY = "open it in a browser and print it to a file there"
+
+
+def find_browser() -> str:
+    """Path of a browser that prints. Raises EngineMissing with the remedy if there is none."""
+    for name in BROWSERS:
+        found = shutil.which(name)
+        if found:
+            return found
+    raise EngineMissing(
+        f"--pdf needs a browser of the Chromium family, and none of {', '.join(BROWSERS)} is on the PATH: install one, "
+        "or open report.html in any browser and print it to a file there"
+    )
+
+
+def print_pdf(page: Path, target: Path) -> None:
+    """Write ``target`` as the browser prints ``page``.
+
+    Raises EngineMissing without a browser or if it prints nothing, InputError if ``target`` exists and is no PDF.
+    """
+    browser = find_browser()
+    if target.exists() and (not target.is_file() or target.read_bytes()[:4] != _BEGIN):
+        raise InputError(f"{target} exists and is no PDF: move it away, and run the same again")
+    with scratch_folder() as scratch, replacing(target) as temporary:
+        made = scratch / "report.pdf"
+        command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={scratch}/profile"]
+        command.append("--no-pdf-header-footer")
+        if hasattr(os, "geteuid") and os.geteuid() == 0:  # Chromium refuses its sandbox to root
+            command.append("--no-sandbox")
+        command += [f"--print-to-pdf={made}", page.resolve().as_uri()]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=120.0, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise EngineMissing(f"{browser} did not print {page.name} ({error}): {_REMEDY}") from None
+        if not made.is_file() or made.read_bytes()[:4] != _BEGIN:
+            raise EngineMissing(f"{browser} did not print {page.name} (exit code {done.returncode}): {_REMEDY}")
+        shutil.copyfile(made, temporary)
