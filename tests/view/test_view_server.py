@@ -20,8 +20,9 @@ import pytest
 from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.errors import EngineMissing
+from tiegraph.pipeline.files import CLOUD
 from tiegraph.pipeline.pages import ViewServer
-from tiegraph.pipeline.view import CLOUD, open_view
+from tiegraph.pipeline.view import open_view
 from tiegraph.report.html import find_browser
 from tiegraph.scene.atomic import MARK
 from view.view_world import as_run

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.calibrate import summary
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly, start
 from tiegraph.calibrate.board import (
     Board,
@@ -27,14 +28,6 @@ from tiegraph.calibrate.board import (
 )
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.settings import CalibrateSettings
-from tiegraph.calibrate.summary import (
-    kalibr_yaml,
-    lengths,
-    opencv_yaml,
-    residual_picture,
-    rig_sigmas,
-    summary,
-)
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
@@ -97,7 +90,7 @@ def calibrate(
     notes = (board, *constants, *found, *unread)
     _write(out, done, verdict, notes, _rig(done, verdict, settings.wide))
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
-    scale = () if len(cameras) == 1 else (lengths(done),)
+    scale = () if len(cameras) == 1 else (summary.lengths(done),)
     written = f"written: {out}", f"summary: {folder / 'summary.md'}"
     for text in (*unread, *left_out, *verdict.advice, *scale, *written):
         reporter.say(text)
@@ -258,20 +251,20 @@ def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig
     names = [c.name for c in done.seen.cameras]
     files = [f"camera{k}" for k in range(len(names))]  # folders may have several levels
     for k, stem in enumerate(files):
-        text = opencv_yaml(done.state.cameras[k])
+        text = summary.opencv_yaml(done.state.cameras[k])
         if text is None:
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
             write_atomic(folder / f"{stem}.yaml", text)
-        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k))
-    chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
+        write_atomic(folder / f"{stem}_residuals.png", summary.residual_picture(done, k))
+    chain = summary.kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")
     else:
         write_atomic(folder / "camchain.yaml", chain)
     pictures = {name: f"{stem}_residuals.png" for name, stem in zip(names, files)}
     write_atomic(folder / "rig_config.json", rig_config([rig]))
-    write_atomic(folder / "summary.md", summary(done, verdict, board, notes, pictures))
+    write_atomic(folder / "summary.md", summary.summary(done, verdict, board, notes, pictures))
     comment = f"Calibrated by tiegraph with the board {one_line(board)}: {len(done.seen.views)} views, sigma of a " \
               f"corner {done.sigma_px:.3f} px.\nLengths come from the size of its squares."  # fmt: skip
     write_atomic(out, rig_toml(rig, comment))
@@ -289,7 +282,7 @@ def check_wide(wide: Sequence[str], cameras: Sequence[str]) -> None:
 def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
     sensors = []
     for k, (images, camera) in enumerate(zip(done.seen.cameras, done.state.cameras)):
-        turn, place = rig_sigmas(verdict.precision, k) if k else (None, None)
+        turn, place = summary.rig_sigmas(verdict.precision, k) if k else (None, None)
         sensors.append(
             Sensor(
                 name=images.name,

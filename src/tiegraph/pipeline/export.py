@@ -20,23 +20,8 @@ from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
 from tiegraph.export.tiles3d import FILE as TREE
 from tiegraph.export.tiles3d import Place, write_points
 from tiegraph.limits import explained
+from tiegraph.pipeline import files
 from tiegraph.pipeline.dense import depth_path
-from tiegraph.pipeline.files import (
-    CLOUD,
-    FINAL,
-    checked,
-    load_map,
-    load_model,
-    mask_path,
-    pairs_of,
-    placement_error,
-    read_image,
-    reading,
-    save_png,
-    whole,
-    world_origin,
-    world_unit,
-)
 from tiegraph.pipeline.mesh import FOLDER as MESH
 from tiegraph.pipeline.mesh import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
@@ -135,8 +120,8 @@ def hand_out_cloud(run: Run, target: Path, name: str) -> int:
 
 
 def _e57(run: Run, made: Path) -> tuple[int, str]:
-    path, origin = run.path("cloud.laz"), world_origin(run.folder)
-    with reading(path), laspy.open(path) as reader:
+    path, origin = run.path("cloud.laz"), files.world_origin(run.folder)
+    with files.reading(path), laspy.open(path) as reader:
         parts = (las_cloud(p, reader.header, origin) for p in reader.chunk_iterator(_SCAN))
         count = write_e57(parts, made / "cloud.e57")
     _say_crs(run, made)
@@ -144,28 +129,28 @@ def _e57(run: Run, made: Path) -> tuple[int, str]:
 
 
 def _potree(run: Run, made: Path) -> tuple[int, str]:
-    with reading(run.path(CLOUD)), laspy.open(run.path(CLOUD)) as reader:
+    with files.reading(run.path(files.CLOUD)), laspy.open(run.path(files.CLOUD)) as reader:
         count = reader.header.point_count
-    _copy(run.path(CLOUD), made / CLOUD)
+    _copy(run.path(files.CLOUD), made / files.CLOUD)
     _say_crs(run, made)
     return count, "Potree (1.8 or later): Potree.loadPointCloud('{folder}/cloud.copc.laz', 'cloud', ...)"
 
 
 def _say_crs(run: Run, made: Path) -> None:
     """Beside coordinates that are those of the CRS already."""
-    origin = world_origin(run.folder)
-    said = {"crs": None if origin is None else origin.crs, "unit": world_unit(run.folder)}
+    origin = files.world_origin(run.folder)
+    said = {"crs": None if origin is None else origin.crs, "unit": files.world_unit(run.folder)}
     write_atomic(made / OFFSET, json.dumps({**said, "crs_from_local": np.eye(4).tolist()}))
 
 
 def _tiles(run: Run, made: Path) -> tuple[int, str]:
     """The cloud as a tree of tiles, and beside it the mesh, if there is one."""
-    path, origin = run.path(CLOUD), world_origin(run.folder)
-    with reading(path):
+    path, origin = run.path(files.CLOUD), files.world_origin(run.folder)
+    with files.reading(path):
         place = Place.about(copc_middle(path, origin), origin)
 
     def nodes() -> Iterator[Node]:
-        with reading(path):
+        with files.reading(path):
             yield from copc_nodes(path, origin)
 
     count = write_points(nodes(), place, made / "cloud")
@@ -173,11 +158,11 @@ def _tiles(run: Run, made: Path) -> tuple[int, str]:
     if run.path(MESH, "mesh.glb").exists():
         write_mesh_tiles(run, place, made / MESH)
         there.append(made / MESH)
-    files = ", ".join(f"{{folder}}/{folder.name}/{TREE}" for folder in there)
+    trees = ", ".join(f"{{folder}}/{folder.name}/{TREE}" for folder in there)
     lost = (
         "" if origin is not None else " (the world is not on the Earth: the tiles are in its own axes, without a place)"
     )
-    return count, f"CesiumJS, Cesium3DTileset.fromUrl of {files}{lost}"
+    return count, f"CesiumJS, Cesium3DTileset.fromUrl of {trees}{lost}"
 
 
 CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
@@ -187,14 +172,14 @@ CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
 def _survey(run: Run) -> Survey:
     ties = []
     if run.path("match.npz").exists():
-        pairs, names = pairs_of(run, "match.npz").kept(), checked(run).names
+        pairs, names = files.pairs_of(run, "match.npz").kept(), files.checked(run).names
         ties = [(names[i], names[j], int(n)) for i, j, n in zip(pairs.i, pairs.j, pairs.inliers)]
     return Survey(
-        scene=whole(run),
-        model=load_model(run.path("sparse", "world")),
-        unit=world_unit(run.folder),
-        origin=world_origin(run.folder),
-        error=placement_error(run.folder),
+        scene=files.whole(run),
+        model=files.load_model(run.path("sparse", "world")),
+        unit=files.world_unit(run.folder),
+        origin=files.world_origin(run.folder),
+        error=files.placement_error(run.folder),
         ties=ties,
     )
 
@@ -246,8 +231,8 @@ def _names(camera_of: Mapping[str, int], pinholes: Mapping[int, CameraModel], ex
 
 def _mask(folder: Path, name: str) -> Path:
     """The last mask of an image in the run."""
-    final = mask_path(folder / FINAL, name)
-    return final if final.exists() else mask_path(folder, name)
+    final = files.mask_path(folder / files.FINAL, name)
+    return final if final.exists() else files.mask_path(folder, name)
 
 
 def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
@@ -269,14 +254,14 @@ def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> 
         use = seen.mask
         _write_image(image, seen.image_bgr)
     elif orientation_of(images / picture.source) > 1:
-        _write_image(image, read_image(images / picture.source, cv2.IMREAD_COLOR))
+        _write_image(image, files.read_image(images / picture.source, cv2.IMREAD_COLOR))
     else:
         _copy(images / picture.source, image)
     if picture.mask and use is None and mask.exists():
         _copy(mask, inside(target, picture.mask))
     elif picture.mask:
         whole_image = np.ones((picture.camera.height, picture.camera.width), bool)
-        save_png(inside(target, picture.mask), whole_image if use is None else use)
+        files.save_png(inside(target, picture.mask), whole_image if use is None else use)
     return _write_depth(picture, folder, target, unit) if picture.depth else ""
 
 
@@ -294,7 +279,7 @@ def _write_image(path: Path, bgr: np.ndarray) -> None:
 def _write_depth(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
     path = depth_path(folder, picture.source)
     camera = (picture.pinhole or picture.camera).to_pycolmap()
-    values = in_thousandths(depth_through(camera, load_map(path) if path.exists() else None), unit)
+    values = in_thousandths(depth_through(camera, files.load_map(path) if path.exists() else None), unit)
     if values.dtype == np.uint16:
         name = f"{picture.depth}.png"
         write_atomic(inside(target, name), cv2.imencode(".png", values)[1].tobytes())

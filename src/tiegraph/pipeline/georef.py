@@ -13,19 +13,8 @@ from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.geodesy import world_from_geodetic
+from tiegraph.pipeline import files
 from tiegraph.pipeline.features import dim_images, with_contrast
-from tiegraph.pipeline.files import (
-    checked,
-    load_json,
-    load_model,
-    load_npz,
-    load_scene,
-    pairs_of,
-    placement_error,
-    save_npz,
-    trusted_poses,
-    whole,
-)
 from tiegraph.pipeline.inputs import control_file, orientations, target_marks
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json
@@ -57,16 +46,16 @@ def sparse(run: Run) -> Outcome:
     def progress(registered: int, total: int) -> None:
         run.reporter.total(total, registered)
 
-    scene, apart = checked(run), ()
+    scene, apart = files.checked(run), ()
     if run.settings.network.sections == "split":  # pairs between sections, which are mapped separately
-        pairs, of_image = pairs_of(run, "match.npz"), scene.section[scene.frame]
+        pairs, of_image = files.pairs_of(run, "match.npz"), scene.section[scene.frame]
         across = of_image[pairs.i] != of_image[pairs.j]
         apart = tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
     source = Source(
         run.path("database.db"),
         run.path("images"),
         apart=apart,
-        preview=trusted_poses(run.folder),
+        preview=files.trusted_poses(run.folder),
         on_progress=progress,
     )
     try:
@@ -83,7 +72,7 @@ def sparse(run: Run) -> Outcome:
         raise with_contrast(error, run, scene) from None
     counts = dict(made.counts)
     if made.shape is not None:
-        save_npz(run.path("sparse", SHAPE), **vars(made.shape))
+        files.save_npz(run.path("sparse", SHAPE), **vars(made.shape))
     if made.sigma is not None:
         largest = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
@@ -108,12 +97,12 @@ def sparse(run: Run) -> Outcome:
 def _against_start(run: Run) -> Outcome:
     if run.inputs.start is None:
         return Outcome({})
-    scene, start = load_scene(run.path("scene.json")), read_start(run.inputs.start)
-    model, tuning = load_model(run.path("sparse", "0")), run.settings.tuning.sfm.start_check
-    files = [scene.source_name(k) for k in range(len(scene))]
+    scene, start = files.load_scene(run.path("scene.json")), read_start(run.inputs.start)
+    model, tuning = files.load_model(run.path("sparse", "0")), run.settings.tuning.sfm.start_check
+    sources = [scene.source_name(k) for k in range(len(scene))]
     names = list(start.poses)
     given = np.full((len(scene), 4, 4), np.nan)
-    for k, row in images_by_name(names, start.path, files).items():
+    for k, row in images_by_name(names, start.path, sources).items():
         given[k] = start.poses[names[row]]
     made = transforms.invert(image_poses(model, scene))
     xyz, image, point = tracks(model, scene)
@@ -126,14 +115,14 @@ def _against_start(run: Run) -> Outcome:
 
 def georef(run: Run) -> Outcome:
     """The largest model into the world, and the others to it."""
-    scene = checked(run).measured()
+    scene = files.checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
     measured, said, unfit = _measured_in_images(run, scene)
     given = replace(
         measured,
         rows=_rows(run, scene),
-        shape=Shape(**load_npz(path)) if (path := run.path("sparse", SHAPE)).exists() else None,
+        shape=Shape(**files.load_npz(path)) if (path := run.path("sparse", SHAPE)).exists() else None,
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
         firm_frames=sigma.get("frames", float("inf")) - sigma.get("on_few_points", 0),
     )
@@ -183,14 +172,14 @@ def _hang(run: Run, folder: Path, scale_source: str) -> tuple[int, list[str]]:
     """Add the images with poses by their rig to the model in a folder; how many have a pose now, and notes."""
     if not run.path("whole.json").exists():
         return 0, []
-    survey = whole(run)
+    survey = files.whole(run)
     count = int((~carries(survey)).sum())
     if scale_source == "none":
         return 0, [
             f"{count} images that depend on their rig have no pose in the model: its scale is unknown (positions, "
             "control points, scale bars, a second wide camera); `tiegraph shots --posed` takes them from the shots"
         ]
-    model = load_model(folder)
+    model = files.load_model(folder)
     hung = with_hanging(model, survey)
     hung.write(folder)
     more = hung.num_reg_images() - model.num_reg_images()
@@ -214,7 +203,7 @@ def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str
     file = control_file(run)
     if file is None:
         return Measurements(), (), ()
-    model = load_model(run.path("sparse", "0")) if file.targets else None
+    model = files.load_model(run.path("sparse", "0")) if file.targets else None
     try:
         seen = target_marks(run, scene, file, model)
         turned = orientations(run, scene, file)
@@ -276,7 +265,7 @@ _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "traj
 
 def stated(run: Run, points: Mapping[str, float]) -> Stated:
     """All of it; ``points``: counts of the sigmas of points in the cloud's receipt."""
-    world = load_json(run.path("world.json"))
+    world = files.load_json(run.path("world.json"))
     predicted = _predicted(run, world, points)
     return Stated(predicted=predicted, hold=_hold(run, world), world=world)
 
@@ -288,7 +277,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
     if not sigma and world["scale_source"] != "none":  # not placed: only the rig determines its size
         rows = world.get("evidence", {}).get("rows", [])
         scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
-    model, error = load_model(run.path("sparse", "world")), placement_error(run.folder)
+    model, error = files.load_model(run.path("sparse", "world")), files.placement_error(run.folder)
     centres = model_centres(model)
     return Predicted(
         inside_m=float(np.hypot(half, most) / np.sqrt(2)),
@@ -303,7 +292,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
 
 
 def _hold(run: Run, world: dict) -> Hold:
-    scene = checked(run)
+    scene = files.checked(run)
     if not world["placed"]:
         return Hold(frames=scene.frames)
     rows = [row["frame"] for row in world["frames"] if row["inlier"]]
@@ -311,7 +300,9 @@ def _hold(run: Run, world: dict) -> Hold:
     if scene.prior == "gnss" and np.isfinite(stated_m).any():
         source += " of RTK quality" if np.nanmedian(stated_m) <= _CARRIER_M else ""
     without = np.setdiff1d(np.arange(scene.frames), rows)
-    bridges = [row["number"] for row in load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"]
+    bridges = [
+        row["number"] for row in files.load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"
+    ]
     under = int(np.isin(scene.section[without], bridges).sum())
     found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
     points = {"control": found.count("gcp"), "checks": found.count("check")}

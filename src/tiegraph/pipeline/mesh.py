@@ -15,28 +15,11 @@ from tiegraph.export.survey import offset_of
 from tiegraph.export.tiles3d import Place, Tile, write_tree
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import need_room
+from tiegraph.mesh import texture
 from tiegraph.mesh.files import Textured, glb, mtl, obj
 from tiegraph.mesh.levels import Finished, branches, coarse, fine
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
-from tiegraph.mesh.texture import (
-    JPEG,
-    PAD,
-    Layout,
-    Nodes,
-    bare_blocks,
-    cut_out,
-    edge_colours,
-    face_colours,
-    laid_out,
-    levelled,
-    levelled_chart,
-    nodes_of,
-    own_faces,
-    own_sides,
-    places,
-    vertex_mean,
-)
 from tiegraph.mesh.tuning import Tuning
 from tiegraph.mesh.views import UNSEEN, Seen, chosen, seen_by, without_bubbles
 from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
@@ -68,7 +51,7 @@ def mesh(run: Run) -> Outcome:
     layout = work.layout()
     pages = list(range(len(layout.pages)))
     run.reporter.total(2 * len(images) + 3 + len(pages), 2 * len(images) + 3)
-    _each(run, pages, work.texture, work.make_texture)
+    _each(run, pages, work.page_path, work.make_texture)
     return _written(run, work, layout)
 
 
@@ -111,14 +94,14 @@ class _Work:
     def path(self, kind: str, k: int | None = None) -> Path:
         return self.folder / FOLDER / SCRATCH / (f"{kind}.npz" if k is None else f"{kind}_{k}.npz")
 
-    def texture(self, k: int) -> Path:
+    def page_path(self, k: int) -> Path:
         return self.folder / FOLDER / f"texture{k}.jpg"
 
-    def layout(self) -> Layout:
-        return load_as(self.path("layout"), Layout.from_npz)
+    def layout(self) -> texture.Layout:
+        return load_as(self.path("layout"), texture.Layout.from_npz)
 
-    def nodes(self) -> Nodes:
-        return load_as(self.path("nodes"), Nodes.from_npz)
+    def nodes(self) -> texture.Nodes:
+        return load_as(self.path("nodes"), texture.Nodes.from_npz)
 
     def mesh(self, kind: str = "mesh") -> Mesh:
         return Mesh(**load_npz(self.path(kind)))
@@ -143,9 +126,9 @@ class _Work:
             whole, label = whole.of_faces(kept), label[kept]
         whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
         label = label[kept]
-        layout = laid_out(whole, label, self.views, self.settings.texture_px, self.tuning.texture.most)
+        layout = texture.laid_out(whole, label, self.views, self.settings.texture_px, self.tuning.texture.most)
         save_npz(self.path("mesh"), **vars(whole))
-        save_npz(self.path("nodes"), **nodes_of(whole, layout).to_npz())
+        save_npz(self.path("nodes"), **texture.nodes_of(whole, layout).to_npz())
         save_npz(self.path("layout"), **layout.to_npz())
 
     def make_colours(self, k: int) -> None:
@@ -154,11 +137,11 @@ class _Work:
         if not (layout.image == k).any():
             return save_npz(self.path("colours", k))
         rgb = self.pictures.picture(k)[0]
-        charts = cut_out(rgb, layout, k)
+        charts = texture.cut_out(rgb, layout, k)
         flat = np.concatenate([c.ravel() for c in charts])
         nodes, whole, view = self.nodes(), self.mesh(), self.views[k]
-        edges = edge_colours(rgb, whole, nodes, own_sides(layout, nodes, k), view)
-        faces = face_colours(rgb, whole, own_faces(layout, k), view)
+        edges = texture.edge_colours(rgb, whole, nodes, texture.own_sides(layout, nodes, k), view)
+        faces = texture.face_colours(rgb, whole, texture.own_faces(layout, k), view)
         return save_npz(self.path("colours", k), charts=flat, edges=edges, faces=faces)
 
     def make_levels(self) -> None:
@@ -167,51 +150,51 @@ class _Work:
         edges, faces = np.zeros((len(nodes.seam), 2, 3)), np.full(whole.corners.shape, np.nan)
         for k in np.unique(layout.image):
             found = load_npz(self.path("colours", k))
-            edges[tuple(own_sides(layout, nodes, k).T)] = found["edges"]
-            faces[own_faces(layout, k)] = found["faces"]
-        change = levelled(nodes, edges, self.tuning.texture)
-        rgb = vertex_mean(whole, nodes, change, faces)
+            edges[tuple(texture.own_sides(layout, nodes, k).T)] = found["edges"]
+            faces[texture.own_faces(layout, k)] = found["faces"]
+        change = texture.levelled(nodes, edges, self.tuning.texture)
+        rgb = texture.vertex_mean(whole, nodes, change, faces)
         save_npz(self.path("levels"), change=change.astype(np.float32), rgb=rgb)
 
     def make_texture(self, page: int) -> None:
         layout, nodes, whole, levels = self.layout(), self.nodes(), self.mesh(), load_npz(self.path("levels"))
-        place, texture = places(whole, layout, self.views)
+        place, page_of = texture.places(whole, layout, self.views)
         width, height = layout.pages[page]
         out = np.full((height, width, 3), 128, np.uint8)
         order = np.argsort(layout.patch, kind="stable")
         start = np.searchsorted(layout.patch[order], np.arange(len(layout.image) + 1))
         for p, chart in self._charts(layout, page):
             face = order[start[p] : start[p + 1]]
-            corner = layout.at[p] - PAD
+            corner = layout.at[p] - texture.PAD
             change = levels["change"][nodes.corner[face]]
             high, wide = chart.shape[:2]
-            out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = levelled_chart(
+            out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = texture.levelled_chart(
                 chart, place[face] - corner, change
             )
-        bare = np.flatnonzero((layout.patch == UNSEEN) & (texture == page))
-        blocks = bare_blocks(levels["rgb"][whole.corners[bare]])
+        bare = np.flatnonzero((layout.patch == UNSEEN) & (page_of == page))
+        blocks = texture.bare_blocks(levels["rgb"][whole.corners[bare]])
         for (x, y), block in zip(layout.bare_at[layout.bare_page == page] - 1, blocks):
             out[y : y + 4, x : x + 4] = block
-        write_atomic(self.texture(page), cv2.imencode(".jpg", out[..., ::-1], JPEG)[1].tobytes())
+        write_atomic(self.page_path(page), cv2.imencode(".jpg", out[..., ::-1], texture.JPEG)[1].tobytes())
 
-    def _charts(self, layout: Layout, page: int) -> Iterator[tuple[int, np.ndarray]]:
+    def _charts(self, layout: texture.Layout, page: int) -> Iterator[tuple[int, np.ndarray]]:
         """(number, rectangle) of the patches on a texture."""
         for k in np.unique(layout.image[layout.page == page]):
             flat, done = load_npz(self.path("colours", k))["charts"], 0
             for p in np.flatnonzero(layout.image == k):
-                wide, high = layout.inner[p] + 2 * PAD
+                wide, high = layout.inner[p] + 2 * texture.PAD
                 if layout.page[p] == page:
                     yield int(p), flat[done : done + 3 * wide * high].reshape(high, wide, 3)
                 done += 3 * wide * high
 
 
-def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
+def _written(run: Run, work: _Work, layout: texture.Layout) -> Outcome:
     whole = work.mesh()
-    place, texture = places(whole, layout, work.views)
+    place, page_of = texture.places(whole, layout, work.views)
     coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
-    textured = Textured(coloured, place=place, texture=texture, pages=layout.pages)
+    textured = Textured(coloured, place=place, texture=page_of, pages=layout.pages)
     said, lines = _said(run)
-    pictures = [work.texture(k) for k in range(len(layout.pages))]
+    pictures = [work.page_path(k) for k in range(len(layout.pages))]
     folder = run.path(FOLDER)
     save_json(folder / "offset.json", said)
     write_atomic(folder / "mesh.glb", glb(textured, [p.read_bytes() for p in pictures], said))
@@ -237,7 +220,7 @@ def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
     return said, [*lines, accuracy] if accuracy else lines
 
 
-def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
+def _outcome(run: Run, work: _Work, whole: Mesh, layout: texture.Layout) -> Outcome:
     unit = world_unit(run.folder)
     bare = int(np.count_nonzero(layout.patch == UNSEEN))
     cut = len(work.mesh("surface").corners) - len(whole.corners)

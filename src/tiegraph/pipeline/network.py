@@ -18,16 +18,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph import papers
-from tiegraph.design.coverage import (
-    Coverage,
-    CoveredSurface,
-    coverage,
-    on_few_points,
-    surface_map,
-    surface_png,
-    unknown_across,
-    weak_places,
-)
+from tiegraph.design import coverage
 from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
 from tiegraph.errors import ReconstructionError
@@ -41,18 +32,8 @@ from tiegraph.network.offsets import OFFSETS
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.papers.fuse2014 import two_view
+from tiegraph.pipeline import files
 from tiegraph.pipeline.features import Matcher, preview_of, previews_of, read_preview, up_light, with_previews
-from tiegraph.pipeline.files import (
-    checked,
-    load_as,
-    load_npz,
-    load_scene,
-    pairs_of,
-    save_npz,
-    scanned,
-    ties_of,
-    visibility_of,
-)
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
 from tiegraph.scene.atomic import cached_by_file, remove
@@ -71,13 +52,13 @@ LOOKED = "design/matches.npz"
 
 def candidates(run: Run) -> Outcome:
     """Candidate pairs from every source, judged by previews; the order of passes and the rig checked by them."""
-    scene = scanned(run)
+    scene = files.scanned(run)
     cache = MatchCache(Matcher(run, "candidates/matched"), len(scene))
     settings, tuning = run.settings.candidates, run.settings.tuning.network
     papers.plug_in(papers.OFFSETS, settings.offsets, OFFSETS)
     found = find_candidates(scene, cache, settings, tuning, partial(_Descriptors, run.folder, scene))
-    save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
-    save_npz(run.path("candidates", "matches.npz"), **found.ties.to_npz())
+    files.save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
+    files.save_npz(run.path("candidates", "matches.npz"), **found.ties.to_npz())
     write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
     counts = {"previews": len(found.ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     return Outcome(counts, notes=found.notes)
@@ -98,18 +79,18 @@ class _Descriptors(Sequence[np.ndarray]):
 
 def coarse(run: Run) -> Outcome:
     """The candidate pairs judged by a coarse model of the survey, if one is worth making and is trusted."""
-    pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
-    scene = load_scene(run.path("candidates", "scene.json"))
+    pairs, ties = files.pairs_of(run, "candidates.npz"), files.ties_of(run, "candidates")
+    scene = files.load_scene(run.path("candidates", "scene.json"))
     cache = MatchCache(Matcher(run, "coarse/matched"), len(scene), ties)
     found = judged_by_model(run, (pairs, scene), cache)
-    save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
-    save_npz(run.path("coarse", "matches.npz"), **cache.matches().to_npz())
+    files.save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
+    files.save_npz(run.path("coarse", "matches.npz"), **cache.matches().to_npz())
     write_atomic(run.path("coarse", "scene.json"), found.scene.to_json())
     counts = {"previews": len(cache) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     if found.model is not None:
         poses = found.model.cam_from_world
-        save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, trusted=found.trusted)
-        save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
+        files.save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, trusted=found.trusted)
+        files.save_npz(run.path("coarse", "visibility.npz"), **surface_seen(run, found, cache.matches()).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
     return Outcome(counts, notes=found.notes)
 
@@ -179,9 +160,9 @@ class _Mapper:
             key.update(np.ascontiguousarray(array).tobytes())
         kept = self._run.path("coarse/blocks", f"{key.hexdigest()}.npz")
         if kept.exists():
-            return load_as(kept, lambda data: CoarseModel.from_npz(data) if data else None)
+            return files.load_as(kept, lambda data: CoarseModel.from_npz(data) if data else None)
         model = coarse_model(self._run, part, inside) if len(inside) else None
-        save_npz(kept, **({} if model is None else model.to_npz()))
+        files.save_npz(kept, **({} if model is None else model.to_npz()))
         return model
 
 
@@ -223,21 +204,21 @@ def coarse_model(run: Run, scene: Scene, ties: PreviewMatches) -> CoarseModel | 
 
 def network(run: Run) -> Outcome:
     """The pairs left by candidates and the coarse model, the survey cut into sections, and the tie graph drawn."""
-    scene = load_scene(run.path("coarse", "scene.json"))
+    scene = files.load_scene(run.path("coarse", "scene.json"))
     light = up_light(run, scene)
     settings = run.settings.candidates, run.settings.network
-    pairs, ties = pairs_of(run, "coarse.npz"), ties_of(run)
+    pairs, ties = files.pairs_of(run, "coarse.npz"), files.ties_of(run)
     found = join_network(pairs, scene, ties, light, settings, run.settings.tuning.network)
-    visibility = visibility_of(run)
+    visibility = files.visibility_of(run)
     good = found.pairs if visibility is None else with_bases(found.pairs, found.scene, visibility)
-    save_npz(run.path("network.npz"), **good.to_npz())
+    files.save_npz(run.path("network.npz"), **good.to_npz())
     write_atomic(run.path("network.csv"), good.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     sections = found.cut.sections
     cut = [{"number": k, "name": s.name, "kind": s.kind} for k, s in enumerate(sections)]
     save_json(run.path("network", "sections.json"), cut)
     model = run.path("coarse", "model.npz")
-    for name, picture in found.plots(load_npz(model)["cam_from_world"] if model.exists() else None):
+    for name, picture in found.plots(files.load_npz(model)["cam_from_world"] if model.exists() else None):
         write_atomic(run.path("network", f"{name}.png"), picture)
     funnel = found.pairs.funnel()
     counts = {"candidates": funnel["candidates"], "kept": funnel["used"], "sections": len(sections)}
@@ -246,7 +227,7 @@ def network(run: Run) -> Outcome:
 
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
-    scene, candidates, known = checked(run), pairs_of(run, "network.npz"), ties_of(run)
+    scene, candidates, known = files.checked(run), files.pairs_of(run, "network.npz"), files.ties_of(run)
     settings, tuning = run.settings, run.settings.tuning
     ties, previews, method = known, 0, settings.design.method
     if not takes_all(candidates, scene, settings.design, tuning.design):  # a choice needs previews
@@ -254,19 +235,19 @@ def design(run: Run) -> Outcome:
     papers.plug_in(papers.DESIGNS, method, METHODS)
     if method in papers.DESIGNS:  # a paper's method uses an accuracy of its own
         candidates = with_accuracy(run, candidates, scene, ties)
-    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, visibility_of(run))
+    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, files.visibility_of(run))
     made, ties = _covered(run, made, scene, ties)
     _save(run, scene, made.pairs, ties.where(known.find(ties.i, ties.j) < 0))
     # The pairs on a map, the weak ones marked
     model = run.path("coarse", "model.npz")
-    poses = load_npz(model)["cam_from_world"] if model.exists() else None
+    poses = files.load_npz(model)["cam_from_world"] if model.exists() else None
     positions, unit = positions_of(scene, poses)
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     write_atomic(run.path("design", "map.png"), map_png(made.pairs, positions, scene, weak=weak, unit=unit))
     again, said = {}, ()
     surface = surface_of(run)
     if surface is not None and poses is not None:
-        drawn = surface_png(surface.cells, surface.places, poses, scene.frame)
+        drawn = coverage.surface_png(surface.cells, surface.places, poses, scene.frame)
         write_atomic(run.path("design", "surface.png"), drawn)
         again, said = {"where to go again": surface.table()}, surface.lines()
     without = int(np.sum(made.pairs.degree(len(scene)) == 0))
@@ -277,7 +258,7 @@ def design(run: Run) -> Outcome:
 
 def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
     """The table of pairs, COLMAP's lists of all and of each section, and the previews that were ``looked`` at here."""
-    save_npz(run.path("pairs.npz"), **pairs.to_npz())
+    files.save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
     run.path("pairs").mkdir(exist_ok=True)
     section = scene.section[scene.frame]
@@ -285,38 +266,38 @@ def _save(run: Run, scene: Scene, pairs: Pairs, looked: PreviewMatches) -> None:
         own = pairs.where((section[pairs.i] == number) | (section[pairs.j] == number))
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
     run.path("design").mkdir(exist_ok=True)
-    save_npz(run.path(*LOOKED.split("/")), **looked.to_npz())
+    files.save_npz(run.path(*LOOKED.split("/")), **looked.to_npz())
 
 
-def coverage_of(run: Run, chosen: bool) -> Coverage:
+def coverage_of(run: Run, chosen: bool) -> coverage.Coverage:
     """The weak places of the candidates, or of the ``chosen`` pairs, by all previews that were matched."""
-    pairs, ties = pairs_of(run, "pairs.npz" if chosen else "network.npz"), ties_of(run)
+    pairs, ties = files.pairs_of(run, "pairs.npz" if chosen else "network.npz"), files.ties_of(run)
     if run.path(*LOOKED.split("/")).exists():
-        ties = ties | ties_of(run, "design")
-    scene = checked(run)
-    return coverage(pairs, scene, on_few_points(pairs, scene, ties, run.settings.tuning.design))
+        ties = ties | files.ties_of(run, "design")
+    scene = files.checked(run)
+    return coverage.coverage(pairs, scene, coverage.on_few_points(pairs, scene, ties, run.settings.tuning.design))
 
 
-def surface_of(run: Run) -> CoveredSurface | None:
+def surface_of(run: Run) -> coverage.CoveredSurface | None:
     """The coverage of the coarse model's surface; None without a model."""
-    seen = visibility_of(run)
+    seen = files.visibility_of(run)
     if seen is None:
         return None
-    scene, tuning = checked(run), run.settings.tuning.design.surface
-    cells = surface_map(seen, scene.focal_px, tuning)
-    return CoveredSurface(cells, weak_places(cells), scene.names) if len(cells) else None
+    scene, tuning = files.checked(run), run.settings.tuning.design.surface
+    cells = coverage.surface_map(seen, scene.focal_px, tuning)
+    return coverage.CoveredSurface(cells, coverage.weak_places(cells), scene.names) if len(cells) else None
 
 
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:
     """The design with its weak links, and their previews: chosen pairs across places with few points are previewed
     first, because only some of the candidates have been."""
     tuning = run.settings.tuning
-    weak = on_few_points(made.pairs, scene, ties, tuning.design)
-    unknown = unknown_across(made.pairs, scene, ties, weak)
+    weak = coverage.on_few_points(made.pairs, scene, ties, tuning.design)
+    unknown = coverage.unknown_across(made.pairs, scene, ties, weak)
     if unknown.any():
         ties = ties | previews_of(run, made.pairs.where(unknown))
-        weak = on_few_points(made.pairs, scene, ties, tuning.design)
-    return with_coverage(made, coverage(made.pairs, scene, weak)), ties
+        weak = coverage.on_few_points(made.pairs, scene, ties, tuning.design)
+    return with_coverage(made, coverage.coverage(made.pairs, scene, weak)), ties
 
 
 def with_accuracy(run: Run, pairs: Pairs, scene: Scene, ties: PreviewMatches) -> Pairs:
@@ -361,4 +342,4 @@ def _two_view_item(
 
 @cached_by_file(2, lambda folder: folder / "network" / "scene.json")
 def _checked(folder: Path) -> Scene:
-    return load_scene(folder / "network" / "scene.json")
+    return files.load_scene(folder / "network" / "scene.json")

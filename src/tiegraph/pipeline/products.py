@@ -14,19 +14,8 @@ from tiegraph.geometry.stereo import Pinhole
 from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
 from tiegraph.pipeline.files import CLOUD, checked, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.pipeline.terrain import OnSurface, Step, TerrainWork, wanted
+from tiegraph.products import ortho
 from tiegraph.products.heights import height_tile, margin
-from tiegraph.products.ortho import (
-    Buffer,
-    Images,
-    Patch,
-    block_px,
-    draw,
-    gains,
-    ortho_margin,
-    ortho_tile,
-    patch,
-    windows_met,
-)
 from tiegraph.products.raster import PICTURE_PX, Place, hillshade, overview, relief
 from tiegraph.products.surface import Survey, Window, choose
 from tiegraph.project.run import Run
@@ -136,23 +125,23 @@ class _Work(OnSurface):
     def make_view(self, k: int) -> None:
         """The part of the surface that an image sees, and its colours there for the exposures; nothing if none."""
         view, tuning, kept = self.views[k], self.tuning.ortho, self.scratch("view", k)
-        if not windows_met(view, self.surface):
+        if not ortho.windows_met(view, self.surface):
             return save_npz(kept)
         depth = depth_path(self.folder, view.name)
         rgb, mask = self.pictures.picture(k)
         own = read_depth(view.name, self.folder) if depth.exists() else None
-        buffer = draw(view, self.surface, self.heights, mask, own, tuning)
+        buffer = ortho.draw(view, self.surface, self.heights, mask, own, tuning)
         if buffer is None:
             return save_npz(kept)
-        block = block_px(len(self.views))
-        found = patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
+        block = ortho.block_px(len(self.views))
+        found = ortho.patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
         if found is None:
             return save_npz(kept)
         save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
 
     def finish_views(self) -> None:
-        patches = [self._kept(k, Patch, "") for k in range(len(self.views))]
-        save_npz(self.scratch("gains", 0), gains=gains(patches))
+        patches = [self._kept(k, ortho.Patch, "") for k in range(len(self.views))]
+        save_npz(self.scratch("gains", 0), gains=ortho.gains(patches))
 
     def _kept(self, k: int, kind: type[T], prefix: str) -> T | None:
         """The stored data of an image; None if it sees nothing."""
@@ -161,16 +150,16 @@ class _Work(OnSurface):
         return kind(**{n: found[f"{prefix}{n}"][()] for n in names}) if found else None
 
     def make_colours(self, window: Window) -> None:
-        around = window.grown(ortho_margin(self.tuning.ortho))
+        around = window.grown(ortho.ortho_margin(self.tuning.ortho))
         sigma = self.read("sigma", around)
-        images = Images(
+        images = ortho.Images(
             views=self.views,
-            buffer=lambda k: self._kept(k, Buffer, "buffer_"),
+            buffer=lambda k: self._kept(k, ortho.Buffer, "buffer_"),
             picture=lambda k: self.pictures.picture(k)[0],
             gains=load_npz(self.scratch("gains", 0))["gains"],
         )
         heights = self.heights(around)
-        rgba, source = ortho_tile(self.surface, window, heights, sigma, images, self.tuning.ortho)
+        rgba, source = ortho.ortho_tile(self.surface, window, heights, sigma, images, self.tuning.ortho)
         save_npz(self.scratch("colours", window), ortho=rgba, source=source)
 
     def finish_colours(self) -> None:

@@ -13,24 +13,9 @@ from laspy import LasHeader, ScaleAwarePointRecord
 from tiegraph.errors import EngineMissing
 from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.pipeline.files import CLOUD, load_npz, reading, save_npz
+from tiegraph.products import terrain
 from tiegraph.products.raster import PICTURE_PX, Place, read_window, relief, write_raster
 from tiegraph.products.surface import MAP, Surface, Window
-from tiegraph.products.terrain import (
-    Line,
-    Terrain,
-    bare,
-    contour_lines,
-    equidistance,
-    footprint,
-    ground,
-    ground_cells,
-    low_cells,
-    margin,
-    on_terrain,
-    step_of,
-    terrain_tile,
-    through,
-)
 from tiegraph.products.tuning import Tuning
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.atomic import replacing
@@ -139,7 +124,7 @@ class TerrainWork(OnSurface):
     @cached_property
     def cell(self) -> int:
         """Pixels along a cell."""
-        return step_of(self.surface.shape, self.surface.pixel_m, self.tuning.terrain)
+        return terrain.step_of(self.surface.shape, self.surface.pixel_m, self.tuning.terrain)
 
     @cached_property
     def reach(self) -> int:
@@ -148,8 +133,8 @@ class TerrainWork(OnSurface):
 
     def make_low(self, window: Window) -> None:
         """Heights of the cells of a tile, low ones, and their sigma."""
-        low = low_cells(self.heights(window), self.cell, self.tuning.terrain)
-        sigma = low_cells(self.read("sigma", window), self.cell, self.tuning.terrain)
+        low = terrain.low_cells(self.heights(window), self.cell, self.tuning.terrain)
+        sigma = terrain.low_cells(self.read("sigma", window), self.cell, self.tuning.terrain)
         save_npz(self.scratch("low", window), low=low, sigma=sigma)
 
     def finish_low(self) -> None:
@@ -157,32 +142,34 @@ class TerrainWork(OnSurface):
         low, sigma = (self._whole("low", name, self.cell) for name in ("low", "sigma"))
         noise = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else 0.0
         cell_m = self.cell * self.surface.pixel_m
-        found = bare(low, noise, cell_m, self.objects_m, self.tuning.terrain)
-        within = footprint(np.isfinite(low))
-        self._keep("low", through(found, np.where(np.isfinite(found), noise, np.nan), self.cell, self.reach, within))
+        found = terrain.bare(low, noise, cell_m, self.objects_m, self.tuning.terrain)
+        within = terrain.footprint(np.isfinite(low))
+        self._keep(
+            "low", terrain.through(found, np.where(np.isfinite(found), noise, np.nan), self.cell, self.reach, within)
+        )
 
     def make_ground(self, window: Window) -> None:
         """Heights of the cells of a tile by their pixels on the ground."""
         wide = self.tuning.terrain.rim_px + 1
         around = window.grown(wide)
         w, sigma = self.heights(around), self.read("sigma", around)
-        on_ground = ground(w, sigma, self._kept("low"), around, self.tuning.terrain)
+        on_ground = terrain.ground(w, sigma, self._kept("low"), around, self.tuning.terrain)
         inner = slice(wide, -wide), slice(wide, -wide)
-        found = ground_cells(w[inner], sigma[inner], on_ground[inner], self.cell)
+        found = terrain.ground_cells(w[inner], sigma[inner], on_ground[inner], self.cell)
         save_npz(self.scratch("ground", window), w=found[0], sigma=found[1])
 
     def finish_ground(self) -> None:
         """The terrain through the cells on the ground."""
         w, sigma = (self._whole("ground", name, self.cell) for name in ("w", "sigma"))
-        within = footprint(np.isfinite(self._whole("low", "low", self.cell)))
-        self._keep("ground", through(w, sigma, self.cell, self.reach, within))
+        within = terrain.footprint(np.isfinite(self._whole("low", "low", self.cell)))
+        self._keep("ground", terrain.through(w, sigma, self.cell, self.reach, within))
 
     def make_terrain(self, window: Window) -> None:
         """Heights of the terrain of a tile, their sigma, and both by the cells in which contour lines are drawn."""
-        around = window.grown(margin(self.cell, self.tuning.terrain))
+        around = window.grown(terrain.margin(self.cell, self.tuning.terrain))
         w, sigma = self.heights(around), self.read("sigma", around)
-        w, sigma = terrain_tile(w, sigma, self._kept("low"), self._kept("ground"), window, self.tuning.terrain)
-        drawn = ground_cells(w, sigma, np.isfinite(w), self._drawn)
+        w, sigma = terrain.terrain_tile(w, sigma, self._kept("low"), self._kept("ground"), window, self.tuning.terrain)
+        drawn = terrain.ground_cells(w, sigma, np.isfinite(w), self._drawn)
         dtm = w + np.float32(self.surface.offset[2])
         save_npz(self.scratch("terrain", window), dtm=dtm, sigma=sigma, drawn=drawn[0], drawn_sigma=drawn[1])
 
@@ -205,19 +192,19 @@ class TerrainWork(OnSurface):
         with reading(self.folder / CLOUD):
             points = copc_box(self.folder / CLOUD, self.place.origin, *self.surface.above(window))
         w = self.read("dtm", window.grown(1)) - np.float32(self.surface.offset[2])
-        here, on_ground = on_terrain(points, self.surface, window, w, self.read("dtm_sigma", window))
+        here, on_ground = terrain.on_terrain(points, self.surface, window, w, self.read("dtm_sigma", window))
         record = las_points(points.where(here), header)
         record.classification = np.where(on_ground, 2, 1).astype(np.uint8)
         return record
 
-    def _contours(self) -> list[Line]:
+    def _contours(self) -> list[terrain.Line]:
         step, surface, tuning = self._drawn, self.surface, self.tuning.contours
         w, sigma = (self._whole("terrain", name, step) for name in ("drawn", "drawn_sigma"))
         w = w + surface.offset[2]
         whole = Window(0, 0, rows=surface.shape[0], columns=surface.shape[1])
-        every = equidistance(w, sigma, tuning)
+        every = terrain.equidistance(w, sigma, tuning)
         u, v = (at + off for at, off in zip(surface.places(whole, step), surface.offset))
-        lines = contour_lines(w, sigma, (u, v), every, tuning)
+        lines = terrain.contour_lines(w, sigma, (u, v), every, tuning)
         written = _write_lines(self.path("contours.gpkg"), lines, surface, self.place) if lines else ""
         levels = len({line.w for line in lines})
         save_npz(self.scratch("contours", 0), every=every, lines=len(lines), levels=levels, written=written)
@@ -242,15 +229,15 @@ class TerrainWork(OnSurface):
             out[row : row + values.shape[0], column : column + values.shape[1]] = values
         return out
 
-    def _keep(self, kind: str, terrain: Terrain) -> None:
-        save_npz(self.scratch(f"{kind}_cells", 0), **vars(terrain))
+    def _keep(self, kind: str, found: terrain.Terrain) -> None:
+        save_npz(self.scratch(f"{kind}_cells", 0), **vars(found))
 
-    def _kept(self, kind: str) -> Terrain:
+    def _kept(self, kind: str) -> terrain.Terrain:
         found = load_npz(self.scratch(f"{kind}_cells", 0))
-        return Terrain(step=int(found["step"]), w=found["w"], sigma=found["sigma"], known=found["known"])
+        return terrain.Terrain(step=int(found["step"]), w=found["w"], sigma=found["sigma"], known=found["known"])
 
 
-def _write_lines(path: Path, lines: list[Line], surface: Surface, place: Place) -> str:
+def _write_lines(path: Path, lines: list[terrain.Line], surface: Surface, place: Place) -> str:
     """Write contour lines as a GeoPackage in the CRS of the map with a style for QGIS, or as GeoJSON in degrees where
     pyogrio is missing; the name of the file, or why there is none."""
     places = [np.c_[line.uv, np.full(len(line.uv), line.w)] for line in lines]
@@ -270,6 +257,6 @@ def _write_lines(path: Path, lines: list[Line], surface: Surface, place: Place) 
     return path.name
 
 
-def _features(lines: list[Line], places: list[np.ndarray]) -> Layer:
+def _features(lines: list[terrain.Line], places: list[np.ndarray]) -> Layer:
     about = [{"elevation_m": line.w, "index": line.index, "sigma_m": round(line.sigma, 4)} for line in lines]
     return [feature("LineString", xyz, values) for xyz, values in zip(places, about)]
