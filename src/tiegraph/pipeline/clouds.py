@@ -296,7 +296,7 @@ def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> 
         title = f"{used[1].name} minus {used[0].name}"
         write_atomic(folder / "differences.png", judge.difference_map(found, title))
         write_measured([measured(found)], folder / "differences.laz", pair.origin, found.cylinders.cores_m)
-    save_json(folder / "agreement.json", agreement.to_dict())
+    save_json(folder / "agreement.json", asdict(agreement))
     return agreement
 
 
