@@ -29,8 +29,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.pairs import PreviewMatches
-from tiegraph.watch.arrivals import Arrivals
-from tiegraph.watch.frames import Known, place_frames
+from tiegraph.watch.frames import Arrivals, Known, place_frames
 from tiegraph.watch.tuning import ArrivalsTuning, ModelTuning, Tuning
 from tiegraph.watch.view import page, path_and_ties, plan_from_world
 

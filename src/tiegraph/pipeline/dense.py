@@ -5,7 +5,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +126,7 @@ def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: 
 def _confirm_item(
     name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning
 ) -> None:
-    load = partial(_known_map, folder=folder, step=FIRST)
+    load = partial(known_depth, folder=folder, step=FIRST)
     first = files.load_map(depth_path(folder, name, FIRST))
     confirmed, counts = confirmed_map(plans[name], first, load, settings, tuning)
     write_atomic(_counts_path(folder, name), json.dumps(asdict(counts)))
@@ -147,7 +147,7 @@ def _known_pixels(name: str, folder: Path) -> int:
 def hand_over(run: Run, target: Path) -> int:
     """The depth maps as a dense workspace of COLMAP; their number. Raises InputError for a folder that is not empty."""
     must_be_empty(target)
-    model, load = files.load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
+    model, load = files.load_model(run.path("sparse", "world")), partial(known_depth, folder=run.folder)
     try:
         return write_workspace(target, model, run.path("images"), load, run.settings.dense)
     except (OSError, RuntimeError) as error:
@@ -165,7 +165,8 @@ def read_depth(name: str, folder: Path) -> DepthMap:
     return files.load_map(depth_path(folder, name))
 
 
-def _known_map(name: str, folder: Path, step: str = "") -> DepthMap | None:
+def known_depth(name: str, folder: Path, step: str = "") -> DepthMap | None:
+    """The depth map of an image, if there is one."""
     path = depth_path(folder, name, step)
     return files.load_map(path) if path.exists() else None
 
@@ -227,27 +228,24 @@ def accuracy_said(run: Run, sigmas: Mapping[str, float]) -> str:
 _SHARP = 20_000  # longest side of an undistorted image: as large as they come
 
 
-def plans_of(run: Run) -> list[ViewPlan]:
-    """The images of the model in the world, by name."""
-    images = files.load_model(run.path("sparse", "world")).images.values()
-    there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
-    return [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
-
-
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Where the pixels of the images come from: at their own resolution, undistorted."""
+    """The images of the model in the world, by name, at their own resolution, undistorted."""
 
     folder: Path
     plans: Sequence[ViewPlan]
     sharp: DenseSettings
 
     @staticmethod
-    def of(run: Run, plans: Sequence[ViewPlan]) -> "Pictures":
+    def of(run: Run) -> "Pictures":
         """Those of a run."""
+        images = files.load_model(run.path("sparse", "world")).images.values()
+        there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
+        plans = [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
         return Pictures(run.folder, plans, run.settings.dense.model_copy(update={"max_image_size": _SHARP}))
 
-    def cameras(self) -> list[Pinhole]:
+    @cached_property
+    def views(self) -> list[Pinhole]:
         """The undistorted cameras, without reading an image."""
         return [pinhole(p, self.sharp) for p in self.plans]
 

@@ -1,7 +1,6 @@
 """Glue of masks and refine: the usable pixels of the images for features, and the same corrected by the model."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +38,11 @@ def masks(run: Run) -> Outcome:
     prepared: dict[int, Any] = {}
     if any(not files.mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, run.map)
-    keyed = {n: (int(scene.sensor_key[k]), scene.mask_name(k)) for k, n in enumerate(scene.names)}
-    seen = {k: lit(s, tuning.fisheye_half_deg) for k, s in enumerate(scene.all_sensors)}
-    how = _How(folder=run.folder, source=source, settings=settings, tuning=tuning, lit=seen)
-    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), how, prepared, keyed)
+    circles = [lit(s, tuning.fisheye_half_deg) for s in scene.all_sensors]
+    keys = enumerate(scene.sensor_key.tolist())
+    known = {scene.names[k]: (prepared.get(key), circles[key], scene.mask_name(k)) for k, key in keys}
+    of = run.folder, source, settings, tuning, known
+    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), *of)
     shares = np.array(run.map(_shares, scene.names, run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
@@ -106,30 +106,29 @@ def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
     return found
 
 
-@dataclass(frozen=True)
-class _How:
-    folder: Path
-    source: str
-    settings: MasksSettings
-    tuning: Tuning
-    lit: Mapping[int, np.ndarray | None]  # of the cameras: (H, W) bool, image circle of their lenses
-
-
-def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:
-    key, found = keyed[name]
-    made, image, lit_there = _source(how.source), how.folder / "images" / name, how.lit[key]
+def _mask_item(
+    name: str,
+    folder: Path,
+    source: str,
+    settings: MasksSettings,
+    tuning: Tuning,
+    known: dict[str, tuple[Any, np.ndarray | None, str]],
+) -> None:
+    """Makes the mask of an image. ``known``: by name what was prepared for its camera, the image circle of its lens
+    (H, W) bool, and how its mask is named in a folder of the user's."""
+    (prepared, lit_there, found), image = known[name], folder / "images" / name
     whole = opaque(image)
     if whole is not None:
         lit_there = whole if lit_there is None else whole & lit_there
-    use = made.look(image, prepared[key], how.settings, how.tuning, found)
+    use = _source(source).look(image, prepared, settings, tuning, found)
     if use.dtype != bool:
         classes = use if lit_there is None else np.where(full_size(lit_there, use.shape), use, EGO).astype(np.uint8)
-        files.save_png(files.classes_path(how.folder, name), classes)
+        files.save_png(files.classes_path(folder, name), classes)
         use = classes == USE
     keep = full_size(use, image_size(image))
     if lit_there is not None:
         keep = keep & lit_there
-    files.save_png(files.mask_path(how.folder, name), keep)
+    files.save_png(files.mask_path(folder, name), keep)
 
 
 def _shares(name: str, folder: Path) -> np.ndarray:

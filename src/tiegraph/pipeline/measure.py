@@ -13,7 +13,7 @@ import rasterio
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, world_from_geodetic
 from tiegraph.pipeline.files import load_json, placement_error, reading, world_origin, world_unit
-from tiegraph.pipeline.terrain import FOLDER
+from tiegraph.pipeline.products import FOLDER
 from tiegraph.products import volumes
 from tiegraph.products.raster import read_window
 from tiegraph.products.surface import MAP, Window

@@ -13,16 +13,14 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.export.survey import offset_of
 from tiegraph.export.tiles3d import Place, Tile, write_tree
-from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import need_room
 from tiegraph.mesh import texture
-from tiegraph.mesh.files import Textured, glb, mtl, obj
-from tiegraph.mesh.levels import Finished, branches, coarse, fine
+from tiegraph.mesh.files import Finished, Textured, branches, coarse, fine, glb, mtl, obj
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
 from tiegraph.mesh.tuning import Tuning
 from tiegraph.mesh.views import UNSEEN, Seen, chosen, seen_by, without_bubbles
-from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
+from tiegraph.pipeline.dense import Pictures, accuracy_said, known_depth
 from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -37,11 +35,8 @@ _BYTES = 200  # of a point in the files of COLMAP's surface
 def mesh(run: Run) -> Outcome:
     """The mesh of the cloud with its textures, as GLB, OBJ and PLY. What is finished of it stays after an
     interruption: the surface, what each image sees and gives, each texture."""
-    plans = plans_of(run)
-    pictures = Pictures.of(run, plans)
-    views = pictures.cameras()
-    work = _Work(run.folder, pictures, views, settings=run.settings.mesh, tuning=run.settings.tuning.mesh)
-    images = list(range(len(views)))
+    work = _Work(run.folder, Pictures.of(run), settings=run.settings.mesh, tuning=run.settings.tuning.mesh)
+    images = list(range(len(work.pictures.views)))
     run.reporter.total(2 * len(images) + 3)
     _once(run, work.path("surface"), partial(_make_surface, run, work))
     _each(run, images, partial(work.path, "view"), work.make_view)
@@ -87,7 +82,6 @@ class _Work:
 
     folder: Path
     pictures: Pictures
-    views: list[Pinhole]
     settings: MeshSettings
     tuning: Tuning
 
@@ -107,17 +101,16 @@ class _Work:
         return Mesh(**load_npz(self.path(kind)))
 
     def make_view(self, k: int) -> None:
-        name = self.views[k].name
-        own = read_depth(name, self.folder) if depth_path(self.folder, name).exists() else None
+        view = self.pictures.views[k]
+        own = known_depth(view.name, self.folder)
         mask = self.pictures.picture(k)[1]
-        save_npz(
-            self.path("view", k), **seen_by(self.views[k], self.mesh("surface"), mask, own, self.tuning.views).to_npz()
-        )
+        found = seen_by(view, self.mesh("surface"), mask, own, self.tuning.views)
+        save_npz(self.path("view", k), **found.to_npz())
 
     def make_layout(self) -> None:
         """Which image gives each face its colour, without the faces that none saw; where they are on the textures."""
         whole = self.mesh("surface")
-        seen = [load_as(self.path("view", k), Seen.from_npz) for k in range(len(self.views))]
+        seen = [load_as(self.path("view", k), Seen.from_npz) for k in range(len(self.pictures.views))]
         label = chosen(seen, whole, self.tuning.views)
         if (label == UNSEEN).all():
             raise ReconstructionError("no image sees the surface of the cloud: look at the masks in the report")
@@ -126,7 +119,7 @@ class _Work:
             whole, label = whole.of_faces(kept), label[kept]
         whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
         label = label[kept]
-        layout = texture.laid_out(whole, label, self.views, self.settings.texture_px, self.tuning.texture.most)
+        layout = texture.laid_out(whole, label, self.pictures.views, self.settings.texture_px, self.tuning.texture.most)
         save_npz(self.path("mesh"), **vars(whole))
         save_npz(self.path("nodes"), **texture.nodes_of(whole, layout).to_npz())
         save_npz(self.path("layout"), **layout.to_npz())
@@ -139,7 +132,7 @@ class _Work:
         rgb = self.pictures.picture(k)[0]
         charts = texture.cut_out(rgb, layout, k)
         flat = np.concatenate([c.ravel() for c in charts])
-        nodes, whole, view = self.nodes(), self.mesh(), self.views[k]
+        nodes, whole, view = self.nodes(), self.mesh(), self.pictures.views[k]
         edges = texture.edge_colours(rgb, whole, nodes, texture.own_sides(layout, nodes, k), view)
         faces = texture.face_colours(rgb, whole, texture.own_faces(layout, k), view)
         return save_npz(self.path("colours", k), charts=flat, edges=edges, faces=faces)
@@ -158,7 +151,7 @@ class _Work:
 
     def make_texture(self, page: int) -> None:
         layout, nodes, whole, levels = self.layout(), self.nodes(), self.mesh(), load_npz(self.path("levels"))
-        place, page_of = texture.places(whole, layout, self.views)
+        place, page_of = texture.places(whole, layout, self.pictures.views)
         width, height = layout.pages[page]
         out = np.full((height, width, 3), 128, np.uint8)
         order = np.argsort(layout.patch, kind="stable")
@@ -190,7 +183,7 @@ class _Work:
 
 def _written(run: Run, work: _Work, layout: texture.Layout) -> Outcome:
     whole = work.mesh()
-    place, page_of = texture.places(whole, layout, work.views)
+    place, page_of = texture.places(whole, layout, work.pictures.views)
     coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
     textured = Textured(coloured, place=place, texture=page_of, pages=layout.pages)
     said, lines = _said(run)

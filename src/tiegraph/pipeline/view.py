@@ -17,7 +17,7 @@ from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.pipeline import files
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.georef import stated
-from tiegraph.pipeline.terrain import FOLDER
+from tiegraph.pipeline.products import FOLDER
 from tiegraph.products.raster import hillshade
 from tiegraph.products.surface import MAP, NODATA
 from tiegraph.project.folder import check_format

@@ -35,8 +35,7 @@ from tiegraph.scene.names import clean_names
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.watch.arrivals import Arrivals
-from tiegraph.watch.frames import Known, place_frames
+from tiegraph.watch.frames import Arrivals, Known, place_frames
 from tiegraph.watch.tuning import Tuning
 from tiegraph.watch.view import page
 
