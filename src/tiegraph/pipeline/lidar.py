@@ -31,7 +31,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import Receipts, save_json
 from tiegraph.scene.atomic import scratch_folder
-from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.cloudchunks import Points, PointSource, points_of
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.posefile import write_tum
@@ -361,7 +361,7 @@ class _Judged:
 
 def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras, tuning: EvaluateTuning) -> CloudJudgement:
     """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
-    own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
+    own = points_of(xyz, "the run's cloud")
     truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
     with scratch_folder() as scratch:
         return judge_cloud(own, truth, scratch, Question(cameras=cameras), tuning)

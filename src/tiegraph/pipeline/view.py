@@ -82,10 +82,6 @@ class Viewed:
                     found.append(Sheet(f"{folder.name}: {said}", *paths, frame=frame))
         return found
 
-    def path(self, *parts: str) -> Path:
-        """A path below the run folder."""
-        return self.run.path(*parts)
-
     def layers(self) -> dict[str, Any]:
         """All that the page lists, JSON-ready."""
         pairs = files.pairs_of(self.run, "match.npz")
@@ -106,7 +102,7 @@ class Viewed:
         """(H, W, 3) of an image, BGR. Raises ValueError for a number that is none."""
         if not 0 <= image < len(self.images):
             raise ValueError("no such image")
-        return files.read_colours(self.path("images", self.names[image]))
+        return files.read_colours(self.run.path("images", self.names[image]))
 
     def pick(self, local: np.ndarray) -> dict[str, Any]:
         """The point of the cloud nearest to a local place (3,), JSON-ready: its coordinates, its sigmas, and the images
@@ -114,7 +110,7 @@ class Viewed:
         place = local + self.middle - self._shift
         step = max(float(np.ptp(self.box, axis=0).max()) * 1e-6, 1e-9)
         for reach in step * 8.0 ** np.arange(6):
-            cloud = copc_box(self.path(files.CLOUD), self.origin, place - reach, place + reach)
+            cloud = copc_box(self.run.path(files.CLOUD), self.origin, place - reach, place + reach)
             row = layers.nearest(cloud, place)
             if row is not None:
                 break
@@ -169,7 +165,7 @@ class Viewed:
 
     @property
     def _contours(self) -> Path | None:
-        named = (self.path(FOLDER, MAP, f"contours.{kind}") for kind in ("gpkg", "geojson"))
+        named = (self.run.path(FOLDER, MAP, f"contours.{kind}") for kind in ("gpkg", "geojson"))
         return next((p for p in named if p.exists()), None)
 
     @property

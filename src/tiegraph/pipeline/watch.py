@@ -25,7 +25,7 @@ from tiegraph.pipeline.features import preview_of, preview_path
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
-from tiegraph.pipeline.pages import WatchServer
+from tiegraph.pipeline.pages import PageServer, WatchHandler
 from tiegraph.project.folder import working_in
 from tiegraph.project.run import Run, check_run
 from tiegraph.project.stages import write_atomic
@@ -53,17 +53,18 @@ def watch(run: Run, port: int, tuning: Tuning) -> None:
     check_run(STAGES, run)
     check_given(STAGES, run)
     cv2.setNumThreads(1)  # the second core is for the model
-    server = WatchServer(port)
+    server = PageServer(WatchHandler, {}, port)
     try:
         with working_in(run.folder):
             watched = Watched(run, tuning)
-            server.show(watched.state())
+            server.about = watched.state()
+            server.start()
             run.reporter.say(f"watching {run.inputs.images}: {server.url} shows what arrives; Ctrl-C ends it")
             run.reporter.event("watching", page=server.url, folder=str(run.inputs.images))
             try:
                 while True:
                     if watched.step(time.monotonic()):
-                        server.show(watched.state())
+                        server.about = watched.state()
                     time.sleep(watched.tuning.arrivals.look_s)
             except KeyboardInterrupt:
                 end_helpers()
