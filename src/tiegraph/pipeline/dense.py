@@ -19,14 +19,12 @@ from tiegraph.dense.plan import CameraModel, DensePlan, ImagePlan, ViewPlan, pla
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_hanging
 from tiegraph.dense.tuning import Tuning
-from tiegraph.dense.undistort import load_view, pinhole, write_workspace
-from tiegraph.errors import InputError, ReconstructionError, TiegraphError
+from tiegraph.dense.undistort import load_view, pinhole
+from tiegraph.errors import ReconstructionError
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.limits import explained
 from tiegraph.pipeline import files
 from tiegraph.pipeline.georef import stated
-from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import remove, same_file
@@ -142,17 +140,6 @@ def _known_pixels(name: str, folder: Path) -> int:
     path = depth_path(folder, name)
     with files.reading(path), np.load(path) as columns:
         return int(np.isfinite(columns["depth_m"]).sum())
-
-
-def hand_over(run: Run, target: Path) -> int:
-    """The depth maps as a dense workspace of COLMAP; their number. Raises InputError for a folder that is not empty."""
-    must_be_empty(target)
-    model, load = files.load_model(run.path("sparse", "world")), partial(known_depth, folder=run.folder)
-    try:
-        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
-    except (OSError, RuntimeError) as error:
-        told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
-        raise error if isinstance(error, TiegraphError) else told from error
 
 
 def colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:

@@ -4,8 +4,9 @@ and the cloud."""
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -13,7 +14,7 @@ import laspy
 import numpy as np
 
 from tiegraph.dense.plan import CameraModel, ViewPlan
-from tiegraph.dense.undistort import centred_pinhole, view_through
+from tiegraph.dense.undistort import centred_pinhole, view_through, write_workspace
 from tiegraph.errors import InputError, TiegraphError, choose
 from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
 from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
@@ -21,7 +22,7 @@ from tiegraph.export.tiles3d import FILE as TREE
 from tiegraph.export.tiles3d import Place, write_points
 from tiegraph.limits import explained
 from tiegraph.pipeline import files
-from tiegraph.pipeline.dense import depth_path
+from tiegraph.pipeline.dense import depth_path, known_depth
 from tiegraph.pipeline.mesh import FOLDER as MESH
 from tiegraph.pipeline.mesh import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
@@ -55,68 +56,76 @@ class _Picture:
     depth: str = ""
 
 
-def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
-    """Write the folder ``target`` for a program, whole or not at all; its number of images, poses or cameras.
+def needed(name: str) -> tuple[str, str]:
+    """The artefact of a run that an export is made of, and the stage that makes it. Raises SettingsError for an unknown
+    name."""
+    clouds = dict.fromkeys(CLOUDS, ("cloud.laz", "cloud"))
+    of = {"results": ("report.html", "report"), "dense": ("depth", "dense"), **clouds}
+    choose("export", name, dict.fromkeys((*of, *EXPORTERS)))
+    return of.get(name, ("sparse/world", "georef"))
 
-    Raises InputError for an unknown name or camera, a folder that is not empty, a full disk, a world not on the Earth.
+
+def hand_out(run: Run, target: str | Path, name: str, camera: str = "") -> int:
+    """Write what a program takes (a name of `tiegraph export --to`) into a folder, whole or not at all, or to a URL;
+    its number of images, poses, cameras, points, depth maps or (results) files.
+
+    Raises InputError for an unknown camera, a place that is not empty, a full disk, a world not on the Earth;
+    EngineMissing without the library of a form or of a store.
     """
-    choose("export", name, dict.fromkeys(EXPORTERS))
+    url = url_of(target)
+    if url and name == "results":  # as they are
+        names = files_below(run.folder, _RESULTS)
+        send(url, run.folder, names, run.reporter)
+        return len(names)
+    if url:
+        with scratch_folder() as scratch:
+            made = scratch / "made"
+            count, _ = _written(run, made, name, camera)
+            names = sorted(p.relative_to(made).as_posix() for p in made.rglob("*") if p.is_file())
+            send(url, made, names, run.reporter)
+        return count
+    count, opened = _written(run, Path(target), name, camera)
+    if opened:
+        run.reporter.say(f"opened by: {opened.format(folder=target)}")
+    return count
+
+
+def _written(run: Run, target: Path, name: str, camera: str) -> tuple[int, str]:
+    """The number of things in a new folder, and how to open it ({folder} = where it is)."""
     must_be_empty(target)
-    exporter = EXPORTERS[name]
-    if camera and exporter.lens is not None:
-        raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
+    write = {"results": _results, "dense": _workspace, **CLOUDS}.get(name, partial(_program, name=name, camera=camera))
     try:
         with replacing(target.absolute()) as made:
             made.mkdir()
-            survey = _survey(run)
-            if exporter.lens is not None:
-                survey = _with_pictures(run, survey, exporter, made)
-            count = exporter.write(replace(survey, camera=camera), made)
+            return write(run, made)
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
     finally:
         run.close()
-    run.reporter.say(f"opened by: {exporter.opened.format(folder=target)}")
-    return count
 
 
-def hand_out_results(run: Run, target: str | Path) -> int:
-    """Copy the results of a run into a folder or to a URL; their number. Raises InputError as ``hand_out``."""
+def _program(run: Run, made: Path, name: str, camera: str) -> tuple[int, str]:
+    exporter = EXPORTERS[name]
+    if camera and exporter.lens is not None:
+        raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
+    survey = _survey(run)
+    if exporter.lens is not None:
+        survey = _with_pictures(run, survey, exporter, made)
+    return exporter.write(replace(survey, camera=camera), made), exporter.opened
+
+
+def _results(run: Run, made: Path) -> tuple[int, str]:
     names = files_below(run.folder, _RESULTS)
-    if url := url_of(target):
-        send(url, run.folder, names, run.reporter)
-        return len(names)
-    must_be_empty(Path(target))
-    with replacing(Path(target).absolute()) as temporary:
-        for name in names:
-            _copy(run.folder / name, temporary / name)
-    return len(names)
+    for name in names:
+        _copy(run.folder / name, made / name)
+    return len(names), ""
 
 
-def to_store(url: str, write: Callable[[Path], int], run: Run) -> int:
-    """What ``write`` counts in the folder that it makes, which is then sent to a URL. Raises as ``send``."""
-    with scratch_folder() as scratch:
-        made = scratch / "made"
-        count = write(made)
-        send(url, made, sorted(p.relative_to(made).as_posix() for p in made.rglob("*") if p.is_file()), run.reporter)
-    return count
-
-
-def hand_out_cloud(run: Run, target: Path, name: str) -> int:
-    """Write the cloud into the folder ``target`` in a form of ``CLOUDS``, whole or not at all; how many points it has.
-
-    Raises EngineMissing without the form's library, InputError for a folder that holds something and a full disk.
-    """
-    must_be_empty(target)
-    try:
-        with replacing(target.absolute()) as made:
-            made.mkdir()
-            count, opened = CLOUDS[name](run, made)
-    finally:
-        run.close()
-    run.reporter.say(f"opened by: {opened.format(folder=target)}")
-    return count
+def _workspace(run: Run, made: Path) -> tuple[int, str]:
+    """The depth maps as a dense workspace of COLMAP."""
+    model, load = files.load_model(run.path("sparse", "world")), partial(known_depth, folder=run.folder)
+    return write_workspace(made, model, run.path("images"), load, run.settings.dense), ""
 
 
 def _e57(run: Run, made: Path) -> tuple[int, str]:
