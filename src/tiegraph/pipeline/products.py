@@ -310,8 +310,8 @@ def products(run: Run) -> Outcome:
     notes += [each.said() for each in bare]
     if surfaces and place.unit != "m":
         notes.append("the model has no scale: lengths are in its own units")
-    pixels = sum(s.shape[0] * s.shape[1] for s in surfaces)
-    return Outcome({"surfaces": len(surfaces), "pixels": pixels}, notes=tuple(notes))
+    counts = {"surfaces": len(surfaces), "pixels": sum(s.shape[0] * s.shape[1] for s in surfaces)}
+    return Outcome(counts, notes=tuple(notes))
 
 
 def _path(scene: Scene, views: list[Pinhole]) -> np.ndarray:
