@@ -12,20 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.calibrate import board as boards
 from tiegraph.calibrate import summary
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly, start
-from tiegraph.calibrate.board import (
-    Board,
-    CameraImages,
-    Corners,
-    Observations,
-    View,
-    check_count,
-    check_one_camera,
-    check_views,
-    detect,
-    read_board,
-)
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.errors import InputError
@@ -66,24 +55,24 @@ def calibrate(
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     folder = _folder_beside(out)
-    pattern = read_board(board)
+    pattern = boards.read_board(board)
     cameras, files, found = _read_folder(images, settings, pool, reporter, tunings)
     check_wide(settings.wide, [c.name for c in cameras])
     with reporter.stage("corners"):
         reporter.total(len(files))
         corners = _map(pool, reporter, _corners, files, pattern)
     views = tuple(
-        View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
+        boards.View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
         for f, (numbers, xy) in zip(files, corners)
         if len(numbers)
     )
-    seen = Observations(pattern, cameras, views)
+    seen = boards.Observations(pattern, cameras, views)
     unread, read = [], {view.name for view in views}
     for number, camera in enumerate(cameras):
         names = [f.name for f in files if f.camera == number and f.name not in read]
         if names:
             unread.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
-    check_views(seen)
+    boards.check_views(seen)
     done = adjust_robustly(seen, start(seen), settings.board_sigma)
     verdict = judge(done)
     constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
@@ -111,12 +100,12 @@ class _File:
 
 def _read_folder(
     images: Path, settings: CalibrateSettings, pool: str, reporter: Reporter, tunings: VerbTunings
-) -> tuple[tuple[CameraImages, ...], tuple[_File, ...], tuple[str, ...]]:
+) -> tuple[tuple[boards.CameraImages, ...], tuple[_File, ...], tuple[str, ...]]:
     """Cameras and files below a folder, in the layouts that ``scan`` reads, and notes."""
     tuning, report = tunings.scan, Report()
     found, passed_over = search_images(images)
     names = clean_names(found)
-    check_count(images, len(names))
+    boards.check_count(images, len(names))
     paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
@@ -131,12 +120,12 @@ def _read_folder(
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
     report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
     if len(layout.folders) == 1 and settings.layout == "auto":
-        check_one_camera([names[k] for k in kept])
+        boards.check_one_camera([names[k] for k in kept])
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
     cameras = tuple(
-        CameraImages(
+        boards.CameraImages(
             name=f or "camera",
             folder=f,
             model=model,
@@ -228,11 +217,11 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
         return map_items(executor, workers, function, items, args, reporter.advance)  # type: ignore[arg-type]
 
 
-def _corners(file: _File, board: Board) -> Corners:
+def _corners(file: _File, board: boards.Board) -> boards.Corners:
     found = opened(file.path.read_bytes(), file.path.suffix)
     pixels = eight_bit(found.pixels(), file.levels)
     grey = pixels if pixels.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2GRAY)
-    return detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board)
+    return boards.detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board)
 
 
 def _folder_beside(out: Path) -> Path:
