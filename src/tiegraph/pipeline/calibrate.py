@@ -26,7 +26,6 @@ from tiegraph.scan.assign import match_frames
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.prepare import Report, usable_images
 from tiegraph.scan.rigfiles.camerafile import MODELS
-from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.composed import WIDE
@@ -34,7 +33,7 @@ from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
 from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.text import one_line
+from tiegraph.text import meant, one_line
 
 _FOLDER = "_calibration"  # beside the rig.toml: its name without suffix, and this
 
@@ -163,7 +162,7 @@ def _models(words: Sequence[str], names: Sequence[str]) -> list[str]:
     for word in words:
         name, _, model = word.rpartition("=")
         if model.upper() not in MODELS:
-            raise InputError(f"--model {word}: no camera model {model!r}{nearest(model.upper(), MODELS)}")
+            raise InputError(f"--model {word}: no camera model {model!r}{meant(model.upper(), MODELS, 0.5)}")
         if name and name not in names:
             raise InputError(f"--model {word}: no camera {name!r}; found are {', '.join(names)}")
         if name:

@@ -36,6 +36,7 @@ from tiegraph.project.stages import Receipts
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.names import inside
 from tiegraph.scene.scene import Scene
+from tiegraph.text import counted
 
 _CHUNK = 1 << 20  # bytes of an upload read at once
 _ROOM = 1 << 28  # bytes of the disk that uploads leave free
@@ -200,8 +201,7 @@ _TABLES = (
 
 def _told(event: dict[str, Any]) -> dict[str, Any]:
     kind = {"started": "runs", "finished": "done", "skipped": "up to date", "lost": "nothing came of it"}
-    numbers = {k.replace("_", " "): v for k, v in event.get("counts", {}).items() if isinstance(v, (int, float))}
-    counts = ", ".join(f"{int(v)} {k}" if v == int(v) else f"{v:.3g} {k}" for k, v in numbers.items())
+    counts = counted(event.get("counts", {}))
     said = {"is": kind.get(event.get("event", ""), ""), "seconds": event.get("seconds"), "counts": counts}
     warnings = [event["why"]] if "why" in event else list(event.get("contradictions", ()))
     return {**said, "warnings": warnings, "notes": list(event.get("notes", ()))}
