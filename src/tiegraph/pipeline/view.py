@@ -9,8 +9,6 @@ from typing import Any
 import cv2
 import laspy
 import numpy as np
-import rasterio
-from rasterio.enums import Resampling
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
@@ -18,8 +16,8 @@ from tiegraph.pipeline import files
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.georef import stated
 from tiegraph.pipeline.products import FOLDER
-from tiegraph.products.raster import hillshade
-from tiegraph.products.surface import MAP, NODATA
+from tiegraph.products.raster import averages, hillshade
+from tiegraph.products.surface import MAP
 from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run
 from tiegraph.scene.cloudfile import shift_of
@@ -140,17 +138,16 @@ class Viewed:
     def mesh(self, sheet: int) -> np.ndarray:
         """Rows and columns (2,) f4, and the local places (rows x columns x 3) f4 of a raster."""
         asked = self._sheet(sheet)
-        xyz = layers.mesh(_heights(asked.heights, _MESH_PX), asked.frame, self.middle)
+        xyz = layers.mesh(_small(asked.heights, _MESH_PX)[0], asked.frame, self.middle)
         return np.r_[np.array(xyz.shape[:2], np.float32), xyz.ravel()]
 
     def picture(self, sheet: int) -> bytes:
         """A PNG of the colours of a raster, transparent where nothing is known."""
         asked = self._sheet(sheet)
         if asked.colours != asked.heights:
-            with files.reading(asked.colours), rasterio.open(asked.colours) as raster:
-                rgba = raster.read(out_shape=(4, *_shape(raster, _PICTURE_PX)), resampling=Resampling.average)
+            rgba = _small(asked.colours, _PICTURE_PX).astype(np.uint8)
             return cv2.imencode(".png", rgba[[2, 1, 0, 3]].transpose(1, 2, 0))[1].tobytes()
-        w = _heights(asked.heights, _PICTURE_PX)
+        w = _small(asked.heights, _PICTURE_PX)[0]
         pixel = asked.frame["pixel"] * max(asked.frame["size"]) / max(w.shape)
         return cv2.imencode(".png", layers.tinted(w, hillshade(np.pad(w, 1, mode="edge"), pixel)))[1].tobytes()
 
@@ -208,13 +205,6 @@ def open_view(run: Run) -> Viewed:
     )
 
 
-def _shape(raster: rasterio.io.DatasetReader, most: int) -> tuple[int, int]:
-    step = max(1.0, max(raster.shape) / most)
-    return max(2, int(raster.height / step)), max(2, int(raster.width / step))
-
-
-def _heights(path: Path, most: int) -> np.ndarray:
-    """Heights (rows, columns) of a raster, at most so many a side; NaN where not known."""
-    with files.reading(path), rasterio.open(path) as raster:
-        w = raster.read(1, out_shape=_shape(raster, most), resampling=Resampling.average).astype(float)
-    return np.where(w == NODATA, np.nan, w)
+def _small(path: Path, most: int) -> np.ndarray:
+    with files.reading(path):
+        return averages(path, most, most)[0]
