@@ -14,12 +14,9 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.export.survey import offset_of
 from tiegraph.export.tiles3d import Place, Tile, write_tree
 from tiegraph.limits import need_room
-from tiegraph.mesh import texture
-from tiegraph.mesh.files import Finished, Textured, branches, coarse, fine, glb, mtl, obj
+from tiegraph.mesh import files, surface, texture, views
 from tiegraph.mesh.settings import MeshSettings
-from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
 from tiegraph.mesh.tuning import Tuning
-from tiegraph.mesh.views import UNSEEN, Seen, chosen, seen_by, without_bubbles
 from tiegraph.pipeline.dense import Pictures, accuracy_said, known_depth
 from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.project.run import Run
@@ -28,7 +25,7 @@ from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.copc import copc_sample
 
 FOLDER, SCRATCH = "mesh", ".work"
-_READ = 3 * MOST_POINTS  # points that are read of the cloud, and then thinned
+_READ = 3 * surface.MOST_POINTS  # points that are read of the cloud, and then thinned
 _BYTES = 200  # of a point in the files of COLMAP's surface
 
 
@@ -69,10 +66,10 @@ def _make_surface(run: Run, work: "_Work") -> None:
         raise ReconstructionError(f"{run.path(CLOUD)} has no point: look at the depth maps in the report")
     spacing = run.receipts.read("cloud")["counts"]["voxel"]
     run.path(FOLDER, SCRATCH).mkdir(parents=True, exist_ok=True)
-    need_room(run.path(FOLDER, SCRATCH, "surface"), _BYTES * min(len(cloud), MOST_POINTS))
+    need_room(run.path(FOLDER, SCRATCH, "surface"), _BYTES * min(len(cloud), surface.MOST_POINTS))
     call = partial(run_in_child, log=run.log, task="COLMAP's surface")
     with scratch_folder(run.path(FOLDER, SCRATCH)) as scratch:
-        found = mesh_of(cloud, spacing, work.settings, work.tuning.surface, scratch, call)
+        found = surface.mesh_of(cloud, spacing, work.settings, work.tuning.surface, scratch, call)
     save_npz(work.path("surface"), **vars(found))
 
 
@@ -97,27 +94,27 @@ class _Work:
     def nodes(self) -> texture.Nodes:
         return load_as(self.path("nodes"), texture.Nodes.from_npz)
 
-    def mesh(self, kind: str = "mesh") -> Mesh:
-        return Mesh(**load_npz(self.path(kind)))
+    def mesh(self, kind: str = "mesh") -> surface.Mesh:
+        return surface.Mesh(**load_npz(self.path(kind)))
 
     def make_view(self, k: int) -> None:
         view = self.pictures.views[k]
         own = known_depth(view.name, self.folder)
         mask = self.pictures.picture(k)[1]
-        found = seen_by(view, self.mesh("surface"), mask, own, self.tuning.views)
+        found = views.seen_by(view, self.mesh("surface"), mask, own, self.tuning.views)
         save_npz(self.path("view", k), **found.to_npz())
 
     def make_layout(self) -> None:
         """Which image gives each face its colour, without the faces that none saw; where they are on the textures."""
         whole = self.mesh("surface")
-        seen = [load_as(self.path("view", k), Seen.from_npz) for k in range(len(self.pictures.views))]
-        label = chosen(seen, whole, self.tuning.views)
-        if (label == UNSEEN).all():
+        seen = [load_as(self.path("view", k), views.Seen.from_npz) for k in range(len(self.pictures.views))]
+        label = views.chosen(seen, whole, self.tuning.views)
+        if (label == views.UNSEEN).all():
             raise ReconstructionError("no image sees the surface of the cloud: look at the masks in the report")
-        for keep in (without_bubbles, lambda m, _: without_strays(m, self.tuning.surface)):
+        for keep in (views.without_bubbles, lambda m, _: surface.without_strays(m, self.tuning.surface)):
             kept = keep(whole, label)
             whole, label = whole.of_faces(kept), label[kept]
-        whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
+        whole, kept = surface.trimmed_border(whole, self.tuning.surface.border_rounds)
         label = label[kept]
         layout = texture.laid_out(whole, label, self.pictures.views, self.settings.texture_px, self.tuning.texture.most)
         save_npz(self.path("mesh"), **vars(whole))
@@ -164,7 +161,7 @@ class _Work:
             out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = texture.levelled_chart(
                 chart, place[face] - corner, change
             )
-        bare = np.flatnonzero((layout.patch == UNSEEN) & (page_of == page))
+        bare = np.flatnonzero((layout.patch == views.UNSEEN) & (page_of == page))
         blocks = texture.bare_blocks(levels["rgb"][whole.corners[bare]])
         for (x, y), block in zip(layout.bare_at[layout.bare_page == page] - 1, blocks):
             out[y : y + 4, x : x + 4] = block
@@ -184,19 +181,19 @@ class _Work:
 def _written(run: Run, work: _Work, layout: texture.Layout) -> Outcome:
     whole = work.mesh()
     place, page_of = texture.places(whole, layout, work.pictures.views)
-    coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
-    textured = Textured(coloured, place=place, texture=page_of, pages=layout.pages)
+    coloured = surface.Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
+    textured = files.Textured(coloured, place=place, texture=page_of, pages=layout.pages)
     said, lines = _said(run)
     pictures = [work.page_path(k) for k in range(len(layout.pages))]
     folder = run.path(FOLDER)
     save_json(folder / "offset.json", said)
-    write_atomic(folder / "mesh.glb", glb(textured, [p.read_bytes() for p in pictures], said))
-    write_atomic(folder / "mesh.mtl", mtl([p.name for p in pictures]))
+    write_atomic(folder / "mesh.glb", files.glb(textured, [p.read_bytes() for p in pictures], said))
+    write_atomic(folder / "mesh.mtl", files.mtl([p.name for p in pictures]))
     # Six digits of the size of the whole: tenths of a millimetre of a hundred metres
     decimals = int(np.clip(6 - np.floor(np.log10(max(float(np.ptp(whole.xyz, axis=0).max()), 1e-6))), 3, 12))
     with replacing(folder / "mesh.obj") as temporary, open(temporary, "wb") as file:
-        file.writelines(obj(textured, "mesh.mtl", decimals, lines))
-    write_atomic(folder / "mesh.ply", ply_of(coloured, said=tuple(lines)))
+        file.writelines(files.obj(textured, "mesh.mtl", decimals, lines))
+    write_atomic(folder / "mesh.ply", surface.ply_of(coloured, said=tuple(lines)))
     return _outcome(run, work, coloured, layout)
 
 
@@ -213,9 +210,9 @@ def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
     return said, [*lines, accuracy] if accuracy else lines
 
 
-def _outcome(run: Run, work: _Work, whole: Mesh, layout: texture.Layout) -> Outcome:
+def _outcome(run: Run, work: _Work, whole: surface.Mesh, layout: texture.Layout) -> Outcome:
     unit = world_unit(run.folder)
-    bare = int(np.count_nonzero(layout.patch == UNSEEN))
+    bare = int(np.count_nonzero(layout.patch == views.UNSEEN))
     cut = len(work.mesh("surface").corners) - len(whole.corners)
     counts: dict[str, float] = {
         "faces": len(whole.corners),
@@ -243,15 +240,15 @@ def _outcome(run: Run, work: _Work, whole: Mesh, layout: texture.Layout) -> Outc
 def write_mesh_tiles(run: Run, place: Place, target: Path) -> None:
     """Write the mesh of a run as tiles that replace each other, with their tree, into a new folder."""
     with reading(run.path(FOLDER, "mesh.glb")):
-        found = Finished.read(run.path(FOLDER, "mesh.glb").read_bytes(), run.path(FOLDER, "mesh.ply"))
+        found = files.Finished.read(run.path(FOLDER, "mesh.glb").read_bytes(), run.path(FOLDER, "mesh.ply"))
     whole = found.moved(place.tiles_from_world)
     target.mkdir()
     call = partial(run_in_child, log=run.log, task="COLMAP's simplification")
 
     def tile(faces: np.ndarray, name: str) -> Tile:
-        below = branches(whole, faces)
+        below = files.branches(whole, faces)
         with scratch_folder(target) as scratch:
-            made = coarse(whole, faces, scratch, call) if below else fine(whole, faces)
+            made = files.coarse(whole, faces, scratch, call) if below else files.fine(whole, faces)
         (target / f"{name}.glb").write_bytes(made.glb)
         out = Tile(uri=f"{name}.glb", low=made.low, high=made.high, error=made.error)
         out.below = [tile(part, f"{name}{k}") for k, part in enumerate(below)]

@@ -152,9 +152,8 @@ class TerrainWork(OnSurface):
         cell_m = self.cell * self.surface.pixel_m
         found = terrain.bare(low, noise, cell_m, self.objects_m, self.tuning.terrain)
         within = terrain.footprint(np.isfinite(low))
-        self._keep(
-            "low", terrain.through(found, np.where(np.isfinite(found), noise, np.nan), self.cell, self.reach, within)
-        )
+        known = np.where(np.isfinite(found), noise, np.nan)
+        self._keep("low", terrain.through(found, known, self.cell, self.reach, within))
 
     def make_ground(self, window: Window) -> None:
         """Heights of the cells of a tile by their pixels on the ground."""
