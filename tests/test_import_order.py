@@ -23,7 +23,7 @@ def test_png_can_be_written_after_tiegraph_and_pycolmap_are_imported(tmp_path):
 
 def test_a_child_starts_without_what_few_functions_need():
     """Every child and worker of every run pays for what is loaded at its start; these would cost 0.4 CPU s more."""
-    done = _run("import sys, tiegraph.pipeline.sparse; print(*sys.modules)")
+    done = _run("import sys, tiegraph.pipeline.features, tiegraph.sfm.mapper; print(*sys.modules)")
     few = {"scipy.optimize", "scipy.interpolate", "scipy.fft", "scipy.stats", "pyproj", "matplotlib", "laspy"}
     loaded = set(done.stdout.split())
     assert "scipy.spatial" in loaded and not few & loaded, done.stderr

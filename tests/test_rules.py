@@ -150,7 +150,6 @@ def test_executors_live_in_one_place(module):
         "project/run.py",
         "project/daskpool.py",
         "project/daskworker.py",
-        "project/queuepool.py",
         "project/stores.py",
         "child.py",
         "forking.py",

@@ -23,8 +23,7 @@ import numpy as np
 from benchmarks.growth import exponent
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.pipeline.files import CLOUD
-from tiegraph.pipeline.products import TILE, _Work
-from tiegraph.pipeline.terrain import TerrainWork
+from tiegraph.pipeline.products import TILE, TerrainWork, _Work
 from tiegraph.products.frame import Frame
 from tiegraph.products.raster import Place
 from tiegraph.products.surface import MAP, Surface

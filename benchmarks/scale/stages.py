@@ -33,9 +33,8 @@ from benchmarks.scale.survey import read_survey, write_survey
 from tiegraph.__version__ import __version__
 from tiegraph.features.matchblocks import BLOCK_PAIRS, cut
 from tiegraph.pipeline import STAGES as TABLE
-from tiegraph.pipeline.design import design
 from tiegraph.pipeline.files import checked, pairs_of
-from tiegraph.pipeline.network import candidates, coarse, network
+from tiegraph.pipeline.network import candidates, coarse, design, network
 from tiegraph.pipeline.scan import scan
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run

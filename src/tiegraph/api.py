@@ -195,23 +195,10 @@ class Project:
         --to`; ``camera``: whose trajectory tum and kitti are of (default: the rig's). Raises InputError for what is
         not there yet, a world that is not on the Earth (geojson, gpkg) and a folder that holds something,
         SettingsError for a name that is none, EngineMissing without the package for a store."""
-        from tiegraph.pipeline.export import CLOUDS, hand_out, hand_out_cloud, hand_out_results, to_store  # engines
+        from tiegraph.pipeline import export  # loads the engines
 
-        if to == "results":
-            self._needed("report.html", "report")
-            return hand_out_results(self.as_run(reporter), folder)
-        if url := url_of(folder):
-            return to_store(url, lambda made: self.export(made, to, camera), self.as_run(reporter))
-        if to == "dense":
-            self._needed("depth", "dense")
-            from tiegraph.pipeline.dense import hand_over
-
-            return hand_over(self.as_run(), Path(folder))
-        self._needed("sparse/world", "georef")
-        if to in CLOUDS:
-            self._needed("cloud.laz", "cloud")
-            return hand_out_cloud(self.as_run(reporter), Path(folder), to)
-        return hand_out(self.as_run(reporter), Path(folder), to, camera)
+        self._needed(*export.needed(to))
+        return export.hand_out(self.as_run(reporter), folder, to, camera)
 
     def rig_file(self, form: str = "rig") -> tuple[str, tuple[str, ...]]:
         """The rig as the model has it, with sigmas, as text of a rig.toml or (``form`` = "rig_config") of COLMAP's
@@ -233,7 +220,7 @@ class Project:
     def coverage(self, chosen: bool = False) -> Coverage:
         """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?
         ``chosen``: those that the design chose to be matched."""
-        from tiegraph.pipeline.design import coverage_of  # loads the engine
+        from tiegraph.pipeline.network import coverage_of  # loads the engine
 
         self._needed(*(("pairs.npz", "design") if chosen else ("network.npz", "network")))
         return coverage_of(self.as_run(), chosen)
@@ -241,7 +228,7 @@ class Project:
     def surface(self) -> CoveredSurface | None:
         """How well the surface is covered, by the coarse model: by how many images, under which angles, with what
         precision, and where to go again; None if there is no such model."""
-        from tiegraph.pipeline.design import surface_of  # loads the engine
+        from tiegraph.pipeline.network import surface_of  # loads the engine
 
         self._needed("network.npz", "network")
         return surface_of(self.as_run())

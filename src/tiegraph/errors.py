@@ -6,6 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from tiegraph.text import meant
+
 
 class TiegraphError(Exception):
     """Root of all errors raised on purpose."""
@@ -74,8 +76,4 @@ def choose(kind: str, name: str, table: dict) -> object:
     """Return ``table[name]``; an unknown name raises SettingsError listing the valid ones."""
     if name in table:
         return table[name]
-    import difflib
-
-    near = difflib.get_close_matches(name, list(table), n=1)
-    hint = f" Perhaps you meant {near[0]!r}?" if near else ""
-    raise SettingsError(f"unknown {kind} {name!r}: valid are {', '.join(sorted(table))}.{hint}")
+    raise SettingsError(f"unknown {kind} {name!r}: valid are {', '.join(sorted(table))}{meant(name, table)}")

@@ -5,7 +5,7 @@ import io
 import math
 import shlex
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 # Control characters (ESC, CR, BEL, NUL), format characters (that turn the direction of writing, or cannot be seen),
@@ -64,6 +64,21 @@ def some(texts: Iterable[str], most: int = 4, total: int = 0, joint: str = ", ")
     told = list(texts)
     rest = max(total, len(told)) - most
     return joint.join(told[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def counted(counts: Mapping[str, Any]) -> str:
+    """The counts of a receipt in words, three digits of what is no whole number: "12 images, 0.351 mean error"."""
+    numbers = {k: int(v) if isinstance(v, float) and v.is_integer() else v for k, v in counts.items()}
+    said = ((f"{v:.3g}" if isinstance(v, float) else v, k.replace("_", " ")) for k, v in numbers.items())
+    return ", ".join(f"{value} {name}" for value, name in said)
+
+
+def meant(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """The known word nearest to a wrong one, as the end of a message; "" if none is near."""
+    import difflib  # for errors alone
+
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
+    return f"; perhaps you meant {near[0]!r}?" if near else ""
 
 
 def finite(value: Any) -> Any:

@@ -126,7 +126,7 @@ def test_the_package_can_be_run():
     done = python("-m", "tiegraph", "--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"tiegraph {tiegraph.__version__}\n", "")
     wrong = python("-m", "tiegraph", "rum")
-    assert wrong.returncode == 2 and "Perhaps you meant 'run'" in wrong.stderr
+    assert wrong.returncode == 2 and "perhaps you meant 'run'" in wrong.stderr
 
 
 def test_the_package_shows_its_names():

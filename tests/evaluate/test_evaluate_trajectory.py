@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate import trajectory
-from tiegraph.evaluate.backprojection import Backprojection, backprojection_rmse
 from tiegraph.evaluate.baseline import Reference, Side, compare_sides, stretch
+from tiegraph.evaluate.survey import backprojection_rmse
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, registered_metrics
 from tiegraph.evaluate.tuning import TrajectoryTuning, Tuning
 from tiegraph.geometry import transforms
@@ -261,8 +261,9 @@ def wall(depth: float, points: int = 20000) -> np.ndarray:
     return np.column_stack([rng.uniform(-20, 20, points), rng.uniform(-8, 8, points), np.full(points, depth)])
 
 
-def found(points: np.ndarray, *poses: np.ndarray) -> Backprojection:
-    """Of images with these cam_from_world and K = [[500, 0, 320], [0, 510, 240], [0, 0, 1]]; one more has no pose."""
+def found(points: np.ndarray, *poses: np.ndarray) -> tuple[float, float, int]:
+    """RMSE, rounding and points of images with these cam_from_world and K = [[500, 0, 320], [0, 510, 240], [0, 0, 1]];
+    one more has no pose."""
     model = pycolmap.Reconstruction()
     params = [500.0, 510, 320, 240]
     model.add_camera_with_trivial_rig(
@@ -278,18 +279,18 @@ def found(points: np.ndarray, *poses: np.ndarray) -> Backprojection:
 @pytest.mark.parametrize("depth", [5.0, 20.0])
 def test_error_is_the_rounding_alone(depth: float) -> None:
     poses = looking(0), looking(8, (1, 0, 0))
-    result = found(wall(depth), *poses)
+    rmse, rounding, points = found(wall(depth), *poses)
     expected = depth * np.sqrt(2 / 12) / 505
-    assert 0.95 * expected < result.rmse_m < 1.05 * expected
-    assert 0.95 < result.rmse_m / result.rounding_m < 1.05
+    assert 0.95 * expected < rmse < 1.05 * expected
+    assert 0.95 < rmse / rounding < 1.05
     alone = [found(wall(depth), pose) for pose in poses]
-    assert all(0.9 * expected < one.rmse_m < 1.2 * expected for one in alone)
-    assert result.points == sum(one.points for one in alone) > 1000
+    assert all(0.9 * expected < one < 1.2 * expected for one, _, _ in alone)
+    assert points == sum(count for _, _, count in alone) > 1000
 
 
 def test_a_wrong_pose_does_not_show_and_nothing_seen_is_nan_not_zero() -> None:
     """The reason the figure proves nothing: a view a metre off has the same error."""
-    right, wrong = (found(wall(20.0), looking(0, (x, 0, 0))) for x in (0, 1))
-    assert abs(wrong.rmse_m / right.rmse_m - 1) < 0.05
-    behind = found(wall(10.0, 100), looking(180))
-    assert behind.points == 0 and np.isnan(behind.rmse_m)
+    right, wrong = (found(wall(20.0), looking(0, (x, 0, 0)))[0] for x in (0, 1))
+    assert abs(wrong / right - 1) < 0.05
+    rmse, _, points = found(wall(10.0, 100), looking(180))
+    assert points == 0 and np.isnan(rmse)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 import mesh_world
 from export_world import ORIGIN, finished
 from tiegraph.errors import InputError, UnreadableArtefact
-from tiegraph.mesh import levels
+from tiegraph.mesh import files as levels
 from tiegraph.mesh.files import Textured, glb
 from tiegraph.mesh.surface import Mesh, ply_of
 from tiegraph.scene.copc import copc_nodes, write_copc

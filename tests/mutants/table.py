@@ -92,7 +92,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("offset: n + m for n - m", "offset = (n + m if backwards else n - m)",
          "offset = (n - m if backwards else n + m)"),
     ),
-    *_in("000", "evaluate/backprojection.py", "evaluate/test_evaluate_trajectory.py",
+    *_in("000", "evaluate/survey.py", "evaluate/test_evaluate_trajectory.py",
         ("equation 5: not divided by z", "uv = uvw[:, :2] / uvw[:, 2:]", "uv = uvw[:, :2]"),
         ("equation 4: K transposed", "x_cam[front] @ K.T", "x_cam[front] @ K"),
         ("equation 5: without depth", "x_est = x_cam[seen, 2:] * (pixel", "x_est = (pixel"),

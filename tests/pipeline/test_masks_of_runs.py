@@ -21,9 +21,9 @@ from tiegraph.masks.tuning import Meguro2024Tuning, Tuning
 from tiegraph.network.coarse.assembled import Assembled
 from tiegraph.pipeline import features as previews
 from tiegraph.pipeline import network as coarse
-from tiegraph.pipeline.design import with_accuracy
 from tiegraph.pipeline.features import Matcher, preview_path, with_previews
 from tiegraph.pipeline.masks import masks_by
+from tiegraph.pipeline.network import with_accuracy
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs, PreviewMatches

@@ -128,13 +128,13 @@ def test_what_is_finished_stays_when_it_is_stopped(made, tmp_path, monkeypatch):
 
     for name in ("mesh_of", "seen_by", "chosen"):
         monkeypatch.setattr(glue, name, counted(name))
-    cut_out = glue.cut_out
-    monkeypatch.setattr(glue, "cut_out", stop)
+    cut_out = glue.texture.cut_out
+    monkeypatch.setattr(glue.texture, "cut_out", stop)
     with pytest.raises(KeyboardInterrupt):
         glue.mesh(run_of(folder))
     first = list(calls)
     assert {"mesh_of", "seen_by", "chosen"} == set(first)
-    monkeypatch.setattr(glue, "cut_out", cut_out)
+    monkeypatch.setattr(glue.texture, "cut_out", cut_out)
     glue.mesh(run_of(folder))
     assert calls == first
     assert (folder / "mesh" / "mesh.glb").read_bytes() == (made / "mesh" / "mesh.glb").read_bytes()

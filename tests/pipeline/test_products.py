@@ -98,14 +98,14 @@ def test_what_is_kept_of_images_and_tiles_is_not_made_again(made, tmp_path, monk
     for name in ("ortho.tif", "source.tif"):
         (folder / "products" / "elevation1" / name).unlink()
     drawn = []
-    monkeypatch.setattr(glue, "draw", lambda *args: drawn.append(args[0].name) or right(*args))
-    monkeypatch.setattr(glue, "ortho_tile", stop)
+    monkeypatch.setattr(glue.ortho, "draw", lambda *args: drawn.append(args[0].name) or right(*args))
+    monkeypatch.setattr(glue.ortho, "ortho_tile", stop)
     right = draw
     with pytest.raises(KeyboardInterrupt):
         glue.products(run_of(folder))
     assert len(drawn) == len(set(drawn)) > 0
     first = list(drawn)
-    monkeypatch.setattr(glue, "ortho_tile", ortho_tile)
+    monkeypatch.setattr(glue.ortho, "ortho_tile", ortho_tile)
     glue.products(run_of(folder))
     assert drawn == first and values(folder / "products").keys() == values(made / "products").keys()
 

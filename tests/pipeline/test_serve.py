@@ -6,7 +6,6 @@ import http.client
 import io
 import json
 import subprocess
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -17,22 +16,22 @@ from typing import Any
 import pytest
 
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.pipeline.serve import OPTIONS, ServeServer, Session
-from tiegraph.report.pdf import find_browser
+from tiegraph.pipeline.pages import PageServer
+from tiegraph.pipeline.serve import OPTIONS, ServeHandler, Session
+from tiegraph.report.html import find_browser
 from worlds import make_survey
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[ServeServer]:
-    server = ServeServer(Session(tmp_path / "images", tmp_path / "out"))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+def served(tmp_path: Path) -> Iterator[PageServer]:
+    server = PageServer(ServeHandler, Session(tmp_path / "images", tmp_path / "out"))
+    server.start()
     yield server
-    server.session.close()
-    server.shutdown()
-    server.server_close()
+    server.about.close()
+    server.close()
 
 
-def ask(server: ServeServer, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, Any]:
+def ask(server: PageServer, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, Any]:
     """The answer to a request below the token, unless ``path`` begins with /."""
     host = server.hosts[0]
     kinds = {"POST": "application/json", "PUT": "application/octet-stream"}
@@ -46,8 +45,8 @@ def ask(server: ServeServer, method: str, path: str, body: bytes | None = None, 
     return answer.status, json.loads(data) if "json" in answer.getheader("Content-Type", "") else data
 
 
-def test_files_are_handed_over_and_nothing_is_overwritten(served: ServeServer) -> None:
-    images = served.session.images
+def test_files_are_handed_over_and_nothing_is_overwritten(served: PageServer) -> None:
+    images = served.about.images
     assert ask(served, "PUT", "files/up/cam0/%E5%86%99%20a.jpg", b"picture") == (200, {"new": True})
     assert (images / "up" / "cam0" / "写 a.jpg").read_bytes() == b"picture"
     assert ask(served, "PUT", "files/up/cam0/%E5%86%99%20a.jpg", b"picture") == (200, {"new": False})
@@ -65,7 +64,7 @@ def test_files_are_handed_over_and_nothing_is_overwritten(served: ServeServer) -
 @pytest.mark.parametrize(
     "name", ["../a.jpg", "up/../../a.jpg", "%2e%2e/a.jpg", "/etc/a.jpg", "a%00.jpg", "a\\b.jpg", ""]
 )
-def test_no_file_leaves_the_folder(served: ServeServer, name: str, tmp_path: Path) -> None:
+def test_no_file_leaves_the_folder(served: PageServer, name: str, tmp_path: Path) -> None:
     before = sorted(tmp_path.rglob("*"))
     status, said = ask(served, "PUT", f"files/{name}", b"picture")
     assert status == 409 and "image name" in said["error"] and sorted(tmp_path.rglob("*")) == before
@@ -80,7 +79,7 @@ def test_files_that_end_early_or_have_no_room_leave_nothing(tmp_path: Path) -> N
     assert list(session.images.iterdir()) == []
 
 
-def test_nobody_else_gets_in(served: ServeServer) -> None:
+def test_nobody_else_gets_in(served: PageServer) -> None:
     token = served.token
     assert ask(served, "GET", "")[0] == 200 and ask(served, "GET", "state")[0] == 200
     for path in ("/", "/state", f"/{token}", f"/{token[:-1]}/state", "/x/state", "//x", f"/{token}x/", "/%ff/", "/[/"):
@@ -98,11 +97,11 @@ def test_nobody_else_gets_in(served: ServeServer) -> None:
     assert ask(served, "POST", "start", b"{" * 100_000)[0] == 400
     for path in ("../../etc/passwd", "design/../../images/a.jpg", "receipts/scan.json", "tiegraph.toml"):
         assert ask(served, "GET", path)[0] == 404
-    assert not served.session.running and list(served.session.images.iterdir()) == []
+    assert not served.about.running and list(served.about.images.iterdir()) == []
 
 
 def test_the_address_that_a_browser_is_started_with_opens_the_page_once(
-    served: ServeServer, monkeypatch: pytest.MonkeyPatch
+    served: PageServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)
@@ -127,12 +126,12 @@ def test_the_address_that_a_browser_is_started_with_opens_the_page_once(
         ({"preset": "../x"}, "neither a file"),
     ],
 )
-def test_options_that_are_not_the_pages_are_refused(served: ServeServer, options: dict[str, str], said: str) -> None:
+def test_options_that_are_not_the_pages_are_refused(served: PageServer, options: dict[str, str], said: str) -> None:
     status, answer = ask(served, "POST", "start", json.dumps({"options": options}).encode())
-    assert status == 400 and said in answer["error"] and not served.session.running
+    assert status == 400 and said in answer["error"] and not served.about.running
 
 
-def until(served: ServeServer, what: Any, seconds: float = 240) -> dict[str, Any]:
+def until(served: PageServer, what: Any, seconds: float = 240) -> dict[str, Any]:
     """The first state that is so."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -144,7 +143,7 @@ def until(served: ServeServer, what: Any, seconds: float = 240) -> dict[str, Any
 
 
 @pytest.mark.slow
-def test_a_survey_from_its_images_to_a_stage_and_on(served: ServeServer, tmp_path: Path) -> None:
+def test_a_survey_from_its_images_to_a_stage_and_on(served: PageServer, tmp_path: Path) -> None:
     survey = make_survey(tmp_path / "own", passes=("up",), frames=4, size=(256, 192))
     for path in sorted(survey.images.rglob("*.jpg")):
         name = path.relative_to(survey.images).as_posix()
@@ -159,7 +158,7 @@ def test_a_survey_from_its_images_to_a_stage_and_on(served: ServeServer, tmp_pat
     until(served, lambda s: any(p["stage"] == "preview" and p["is"] == "done" for p in s["stages"]))
     assert ask(served, "POST", "stop", b"{}")[0] == 200
     state = until(served, lambda s: not s["running"])
-    assert Session(served.session.images, tmp_path / "out").state()["asked"] == {"preset": "fast"}
+    assert Session(served.about.images, tmp_path / "out").state()["asked"] == {"preset": "fast"}
     assert state["stopped"] and "run the same command again" in state["lines"][-1]
     assert not state["report"] and (tmp_path / "out" / "receipts" / "preview.json").exists()
 
@@ -171,12 +170,12 @@ def test_the_page_names_the_options_that_there_are() -> None:
 
 
 @pytest.mark.slow
-def test_a_browser_shows_what_was_found(served: ServeServer, tmp_path: Path) -> None:
+def test_a_browser_shows_what_was_found(served: PageServer, tmp_path: Path) -> None:
     try:
         browser = find_browser()
     except EngineMissing:
         pytest.skip("no browser")
-    survey = make_survey(served.session.images, passes=("up",), frames=3, size=(160, 120))
+    survey = make_survey(served.about.images, passes=("up",), frames=3, size=(160, 120))
     assert ask(served, "POST", "start", b'{"options": {"rig": "ring:2"}, "until": "scan"}')[0] == 200
     until(served, lambda s: not s["running"])
     words = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'browser'}"]

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 import terrain_world as world
 from terrain_world import NOISE_M, PIXEL
-from tiegraph.pipeline import terrain as glue
-from tiegraph.pipeline.terrain import TerrainWork, wanted
+from tiegraph.pipeline import products as glue
+from tiegraph.pipeline.products import TerrainWork, wanted
 from tiegraph.products.raster import Place, read_window
 from tiegraph.products.surface import Window
 from tiegraph.products.terrain import contour_lines, equidistance

@@ -8,7 +8,7 @@ import pytest
 import curved_world as world
 from curved_world import BELL_M, CHECK, MIDDLE, NOISE_M, PIXEL, SHIFT, Tower, Tunnel
 from tiegraph.errors import ReconstructionError
-from tiegraph.products import alignment
+from tiegraph.products import frame as curved
 from tiegraph.products.frame import Frame
 from tiegraph.products.heights import height_tile, margin
 from tiegraph.products.ortho import Images, block_px, draw, gains, ortho_margin, ortho_tile, patch
@@ -144,7 +144,7 @@ def test_a_flat_floor_does_not_move_the_axis():
     cloud = Tunnel().cloud(0.3)
     xyz = cloud.xyz_m.copy()
     xyz[:, 2] = np.maximum(xyz[:, 2], MIDDLE[2] - 2.0)
-    ((frame, share),) = alignment.tunnel(Tunnel().path(), replace(cloud, xyz_m=xyz), TUNING)
+    ((frame, share),) = curved.tunnel(Tunnel().path(), replace(cloud, xyz_m=xyz), TUNING)
     assert frame.radius == pytest.approx(3.0, abs=0.01) and 0.6 < share < 0.9
 
 
@@ -153,7 +153,7 @@ def test_a_wall_along_a_path_that_does_not_go_round_ends_where_its_points_do():
     cloud = bank.cloud(0.4)
     behind = replace(cloud, normal=-cloud.normal).where(np.arange(0, len(cloud), 3))  # as seen from the other side
     both = type(cloud).concatenate([cloud, behind])
-    ((frame, share),) = alignment.walls(bank.path(turns=0.4), both.where(bank.unrolled(both.xyz_m)[:, 0] < 80), TUNING)
+    ((frame, share),) = curved.walls(bank.path(turns=0.4), both.where(bank.unrolled(both.xyz_m)[:, 0] < 80), TUNING)
     w = frame.uvw(bank.rolled(np.linspace(1, 79, 99), np.ones(99), np.zeros(99)))[:, 2]
     assert np.abs(w).max() < 0.005 and 0.7 < share < 0.8 and frame.stations[-1] == pytest.approx(80, abs=0.3)
 
@@ -177,10 +177,10 @@ TIGHT, LOOP = Tunnel(bend=3.8, length=11.0), Tunnel(bend=12.0, length=95.0)
 )  # fmt: skip
 def test_what_cannot_be_unrolled_says_why_and_what_to_do(path, cloud, said):
     with pytest.raises(ReconstructionError, match=f"nothing can be unrolled: .*{said}.*leave out products.unroll"):
-        alignment.tunnel(path, cloud, TUNING)
+        curved.tunnel(path, cloud, TUNING)
 
 
 def test_where_no_wall_stands_beside_the_path_says_so():
     tower = Tower().cloud(0.3)
     with pytest.raises(ReconstructionError, match="neither side of the path has a wall with 10%"):
-        alignment.walls(Tower().path(), replace(tower, normal=-tower.normal), TUNING)
+        curved.walls(Tower().path(), replace(tower, normal=-tower.normal), TUNING)

@@ -42,12 +42,12 @@ def test_every_preset_is_valid_and_changes_what_it_says():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"masks": {"sorce": "none"}}, r"unknown setting 'masks.sorce': perhaps you meant 'source'"),
-        ({"mask": {"source": "none"}}, r"unknown setting 'mask': perhaps you meant 'masks'"),
+        ({"masks": {"sorce": "none"}}, r"unknown setting 'masks.sorce'; perhaps you meant 'source'"),
+        ({"mask": {"source": "none"}}, r"unknown setting 'mask'; perhaps you meant 'masks'"),
         ({"masks": {"difference": 999}}, r"masks.difference = 999.*254"),
-        ({"tuning": {"sfm": {"start_check": {"of": 3}}}}, r"'tuning.sfm.start_check.of': perhaps you meant 'off'"),
+        ({"tuning": {"sfm": {"start_check": {"of": 3}}}}, r"'tuning.sfm.start_check.of'; perhaps you meant 'off'"),
         ({"tuning": {"network": {"coarse": {"most_focal": 0.5}}}}, r"tuning.network.coarse.most_focal = 0.5"),
-        ({"tuning": {"netwrok": {}}}, r"'tuning.netwrok': perhaps you meant 'network'"),
+        ({"tuning": {"netwrok": {}}}, r"'tuning.netwrok'; perhaps you meant 'network'"),
     ],
 )
 def test_typos_are_refused_with_the_nearest_name(given, words):
@@ -178,7 +178,7 @@ def test_no_number_is_without_bounds(section, name, field):
         ("[[run]]\nimages = 'x'", r"run = \[.* must be a section"),
         ("[run]\nimages = 5", "run.images = 5: give a path"),
         ("[run]\nimages = ''", "run.images = '': give a path"),
-        ("[run]\nimges = 'x'", "unknown name 'imges' in .run.: perhaps you meant 'images'"),
+        ("[run]\nimges = 'x'", "unknown name 'imges' in .run.; perhaps you meant 'images'"),
         ("[run]\ngcp = 'x'", "unknown name 'gcp' in .run.: it is the setting gcp of .georef."),
         ("[run]\nvoxel_size = 1", "it is the setting voxel_size of .cloud."),
         ("[[masks]]\nsource = 'sky'", "'masks' must be a section such as .masks."),
@@ -344,8 +344,8 @@ def test_every_engine_with_constants_is_in_reach():
 @pytest.mark.parametrize(
     "text, said",
     [
-        ("[tuning.stations.precision]\nband = 4\n", "unknown setting 'tuning.stations.precision.band': .*'bands'"),
-        ("[tuning.station]\n", "unknown setting 'tuning.station': .*'stations'"),
+        ("[tuning.stations.precision]\nband = 4\n", "unknown setting 'tuning.stations.precision.band'; .*'bands'"),
+        ("[tuning.station]\n", "unknown setting 'tuning.station'; .*'stations'"),
         ("[masks]\nsource = 'none'\n", "unknown setting 'masks'"),
         ("[tuning.stations.precision]\nbands = 0\n", "tuning.stations.precision.bands = 0: "),
         ("[tuning.stations", "not valid TOML"),

@@ -26,7 +26,7 @@ import pytest
 import tiegraph
 from tiegraph.cli.main import main
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.pipeline.export import to_store
+from tiegraph.pipeline import export
 from tiegraph.project import stores
 from tiegraph.project.progress import Reporter
 from tiegraph.project.stores import fetch, not_fetched, place_of, send, url_of
@@ -197,13 +197,15 @@ def test_results_go_to_an_empty_place_only(memory: Any, tmp_path: Path) -> None:
     assert memory.cat("/bucket/results/1/report.html") == b"report.html"
 
 
-def test_any_export_goes_to_a_store(memory: Any) -> None:
-    def write(made: Path) -> int:
-        (made / "sparse").mkdir(parents=True)
+def test_any_export_goes_to_a_store(memory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(run: Any, made: Path) -> tuple[int, str]:
+        (made / "sparse").mkdir()
         (made / "sparse" / "cameras.txt").write_text("cameras")
-        return 3
+        return 3, "a viewer"
 
-    assert to_store("memory://bucket/colmap", write, SimpleNamespace(reporter=QUIET)) == 3
+    monkeypatch.setitem(export.CLOUDS, "e57", write)
+    run = SimpleNamespace(reporter=QUIET, close=lambda: None)
+    assert export.hand_out(run, "memory://bucket/colmap", "e57") == 3
     assert memory.cat("/bucket/colmap/sparse/cameras.txt") == b"cameras" and len(memory.find("/bucket")) == 1
 
 

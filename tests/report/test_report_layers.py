@@ -18,7 +18,7 @@ from markupsafe import escape
 from accuracy_marks import check, unmarked
 from said import refused, says
 from tiegraph.errors import EngineMissing
-from tiegraph.report import accuracy, cloudview, drawing, formatting, html, maps, pdf, texts
+from tiegraph.report import accuracy, cloudview, drawing, formatting, html, maps, texts
 from tiegraph.report.cloudview import (
     compass,
     render,
@@ -215,24 +215,24 @@ def test_without_a_browser_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setenv("PATH", str(tmp_path))
     page, target, browser = (tmp_path / name for name in ("report.html", "report.pdf", "chromium"))
     with pytest.raises(EngineMissing, match="chromium.*open report.html in any browser and print it"):
-        pdf.print_pdf(page, target)
+        html.print_pdf(page, target)
     browser.write_text("#!/bin/sh\nexit 3\n")
     browser.chmod(0o755)
     with pytest.raises(EngineMissing, match=r"did not print report.html \(exit code 3\)"):
-        pdf.print_pdf(page, target)
+        html.print_pdf(page, target)
     target.write_text("my own")
     with refused("is no PDF"):
-        pdf.print_pdf(page, target)
+        html.print_pdf(page, target)
     assert target.read_text() == "my own"
 
 
 @pytest.mark.slow
 def test_the_page_prints(page: str, full: Path, tmp_path: Path) -> None:
     try:
-        pdf.find_browser()
+        html.find_browser()
     except EngineMissing:
         pytest.skip("no browser")
-    pdf.print_pdf(full / "report.html", tmp_path / "report.pdf")
+    html.print_pdf(full / "report.html", tmp_path / "report.pdf")
     data = (tmp_path / "report.pdf").read_bytes()
     assert data[:4] == b"%PDF" and 20_000 < len(data) < 10e6
 

@@ -17,8 +17,8 @@ from scan.scan_worlds import picture
 from tiegraph.cli.main import main
 from tiegraph.errors import SettingsError
 from tiegraph.masks.folder import find_mask
-from tiegraph.pipeline import design
 from tiegraph.pipeline import features as previews
+from tiegraph.pipeline import network
 from tiegraph.project.settings import merged
 from tiegraph.scan.scan import safe_names
 from tiegraph.scene.atomic import cached_by_file
@@ -263,7 +263,7 @@ def test_a_file_is_read_once_and_again_when_replaced_or_changed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "read, below", [(previews.scene_of, ()), (design._checked, ("network",))], ids=["previews", "accuracy"]
+    "read, below", [(previews.scene_of, ()), (network._checked, ("network",))], ids=["previews", "accuracy"]
 )
 def test_scene_of_a_run_folder_is_that_of_its_last_run(read, below, tmp_path, monkeypatch):
     monkeypatch.setattr(previews.Scene, "from_json", staticmethod(str))

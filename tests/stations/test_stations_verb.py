@@ -11,7 +11,7 @@ from stations.stations_world import bumpy, error_m, hall, scans, views, write_vi
 from tiegraph.cli.main import main
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
-from tiegraph.pipeline.stations import pose_numbers
+from tiegraph.pipeline.shots import pose_numbers
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.posefile import read_poses, write_tum
 from tiegraph.stations.loops import adjusted, contradicted, parts, taken_apart

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from http.client import HTTPConnection
 from pathlib import Path
-from threading import Thread
 from types import SimpleNamespace
 
 import cv2
@@ -16,7 +15,7 @@ from targets.targets_world import EAST, NORTH, PLACES, survey, table
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.pipeline.mark import ChangedMeanwhile, Marking, open_marking
-from tiegraph.pipeline.pages import MarkServer
+from tiegraph.pipeline.pages import MarkHandler, PageServer
 from tiegraph.project.settings import Settings
 from tiegraph.scene.gcp import read_gcps
 
@@ -101,8 +100,8 @@ def test_files_that_cannot_be_marked_say_why(folder: Path, tmp_path: Path) -> No
 
 
 def test_the_server_serves_this_page_and_nobody_else(folder: Path, tmp_path: Path) -> None:
-    server = MarkServer(opened(folder, tmp_path))
-    Thread(target=server.serve_forever, daemon=True).start()
+    server = PageServer(MarkHandler, opened(folder, tmp_path))
+    server.start()
     host = f"127.0.0.1:{server.server_port}"
 
     def ask(
@@ -144,5 +143,4 @@ def test_the_server_serves_this_page_and_nobody_else(folder: Path, tmp_path: Pat
         status, said = ask("POST", "/mark", mark, **good)
         assert status == 409 and b"changed by another program" in said
     finally:
-        server.shutdown()
-        server.server_close()
+        server.close()

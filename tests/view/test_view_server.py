@@ -10,7 +10,6 @@ import subprocess
 from collections.abc import Callable, Iterator
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING
 
 import cv2
@@ -20,9 +19,10 @@ import pytest
 from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.errors import EngineMissing
-from tiegraph.pipeline.pages import ViewServer
-from tiegraph.pipeline.view import CLOUD, open_view
-from tiegraph.report.pdf import find_browser
+from tiegraph.pipeline.files import CLOUD
+from tiegraph.pipeline.pages import PageServer, ViewHandler
+from tiegraph.pipeline.view import open_view
+from tiegraph.report.html import find_browser
 from tiegraph.scene.atomic import MARK
 from view.view_world import as_run
 
@@ -40,8 +40,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ask(folder: Path) -> Iterator[Ask]:
     """Asks the server of a run: path below the token, headers -> answer and its body; ``token``: another."""
     (folder / "secret.txt").write_text("mine")
-    server = ViewServer(as_run(folder))
-    Thread(target=server.serve_forever, daemon=True).start()
+    server = PageServer(ViewHandler, as_run(folder))
+    server.start()
 
     def asked(path: str, token: str = f"/{server.token}", **headers: str) -> tuple[HTTPResponse, bytes]:
         connection = HTTPConnection("127.0.0.1", server.server_port, timeout=20)
@@ -51,8 +51,7 @@ def ask(folder: Path) -> Iterator[Ask]:
         return answer, answer.read()
 
     yield asked
-    server.shutdown()
-    server.server_close()
+    server.close()
 
 
 @pytest.mark.slow
@@ -160,8 +159,8 @@ def test_a_browser_draws_the_cloud_of_a_run(finished: World, tmp_path: Path) -> 
     for k in range(len(said["sheets"])):
         rows, columns = viewed.mesh(k)[:2]
         assert len(viewed.mesh(k)) == 2 + 3 * rows * columns and viewed.picture(k)[1:4] == b"PNG"
-    server = ViewServer(viewed)
-    Thread(target=server.serve_forever, daemon=True).start()
+    server = PageServer(ViewHandler, viewed)
+    server.start()
     place = ",".join(f"{v:.3f}" for v in viewed.middle)
     shot = tmp_path / "shot.png"
     command = [browser, "--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run"]
@@ -171,8 +170,7 @@ def test_a_browser_draws_the_cloud_of_a_run(finished: World, tmp_path: Path) -> 
     try:
         subprocess.run(command, capture_output=True, timeout=240, check=True)
     finally:
-        server.shutdown()
-        server.server_close()
+        server.close()
     drawn = cv2.imread(str(shot))[:, 340:]
     off = np.abs(drawn.astype(int) - drawn[5, 5]).max(axis=2) > 20
     assert 0.03 < off.mean() < 0.95 and len(np.unique(drawn[off], axis=0)) > 200

@@ -13,7 +13,8 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.pipeline.view import CLOUD, Viewed
+from tiegraph.pipeline.files import CLOUD
+from tiegraph.pipeline.view import Viewed
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud, DepthMap, save_depth
 from tiegraph.view.layers import Known

@@ -22,15 +22,14 @@ from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.pipeline.pages import WatchServer
+from tiegraph.pipeline.pages import PageServer, WatchHandler
 from tiegraph.pipeline.watch import KEPT, PAGE, Watched
 from tiegraph.pipeline.watchmodel import resect_previews
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.pairs import PreviewMatches
-from tiegraph.watch.arrivals import Arrivals
-from tiegraph.watch.frames import Known, place_frames
+from tiegraph.watch.frames import Arrivals, Known, place_frames
 from tiegraph.watch.tuning import ArrivalsTuning, ModelTuning, Tuning
 from tiegraph.watch.view import page, path_and_ties, plan_from_world
 
@@ -184,7 +183,8 @@ def test_positions_turn_and_scale_the_plan():
 
 @pytest.fixture
 def server():
-    served = WatchServer(0)
+    served = PageServer(WatchHandler, {})
+    served.start()
     yield served
     served.close()
 
@@ -192,7 +192,7 @@ def server():
 def test_the_page_and_its_state_are_served_on_the_loopback(server):
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", server.url)
     assert urllib.request.urlopen(server.url).read() == page(None)
-    server.show({"counts": {"images": 3}})
+    server.about = {"counts": {"images": 3}}
     assert json.load(urllib.request.urlopen(server.url + "state.json")) == {"counts": {"images": 3}}
     bare = f"http://{server.hosts[0]}/"
     for url, host, said in (
@@ -207,9 +207,9 @@ def test_the_page_and_its_state_are_served_on_the_loopback(server):
 def test_a_port_that_is_taken_is_said(server):
     port = server.server_port
     with refused(rf"--port {port}.*another, or 0"):
-        WatchServer(port)
+        PageServer(WatchHandler, {}, port)
     with refused("--port 99999999"):
-        WatchServer(99999999)
+        PageServer(WatchHandler, {}, 99999999)
 
 
 def test_a_page_that_is_kept_holds_its_state_and_nothing_from_elsewhere():

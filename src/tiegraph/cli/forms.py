@@ -18,7 +18,7 @@ from tiegraph.evaluate.clouds.judge import Question, Register
 from tiegraph.masks.folder import compare, compare_classes, table_text
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.settings import read_settings, read_tunings
-from tiegraph.report.pdf import find_browser, print_pdf
+from tiegraph.report.html import find_browser, print_pdf
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import CLOUD_ENDINGS
 from tiegraph.scene.scene import Scene

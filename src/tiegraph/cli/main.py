@@ -21,6 +21,7 @@ from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphEr
 from tiegraph.forking import HARMLESS, allow
 from tiegraph.limits import explained
 from tiegraph.scene.names import check_text
+from tiegraph.text import meant
 
 DONE, FAILED, MISUSE = 0, 1, 2
 _STOPPED = "stopped; finished work is kept: run the same command again to go on"
@@ -97,11 +98,7 @@ def _dispatch(arguments: list[str]) -> int:
         return DONE
     name, rest = arguments[0], arguments[1:]
     if name not in VERBS:
-        import difflib
-
-        near = difflib.get_close_matches(name, list(VERBS), n=1)
-        hint = f" Perhaps you meant {near[0]!r}." if near else ""
-        return _fail(f"unknown verb {name!r}.{hint} `tiegraph --help` lists all", MISUSE)
+        return _fail(f"unknown verb {name!r}{meant(name, VERBS)} (`tiegraph --help` lists all)", MISUSE)
     verb = VERBS[name]
     if verb.page and wants_page(rest):
         say(verb.page)

@@ -34,13 +34,14 @@ class Serve(_Page):
     """The run folder (default: <FOLDER>_tiegraph beside the folder)."""
 
     def run(self) -> int:
-        from tiegraph.pipeline.serve import ServeServer, Session
+        from tiegraph.pipeline.pages import PageServer
+        from tiegraph.pipeline.serve import ServeHandler, Session
 
         images = real_path(self.folder)
         if images.exists() and not images.is_dir():
             raise InputError(f"{images}: is a file; give the folder of the images, or a new one")
         session = Session(images, (self.out or images.with_name(images.name + "_tiegraph")).absolute())
-        server = ServeServer(session, self.port)
+        server = PageServer(ServeHandler, session, self.port)
         say(f"images: {session.images}; results: {session.out}")
         say(f"{server.url}  (ends with Ctrl-C, and a run with it; finished work is kept)")
         try:
@@ -65,13 +66,13 @@ class Mark(_Page):
 
     def run(self) -> int:
         from tiegraph.pipeline.mark import open_marking
-        from tiegraph.pipeline.pages import MarkServer
+        from tiegraph.pipeline.pages import MarkHandler, PageServer
 
         project = open_project(None, self.folder)
         given = self.points or project.settings.georef.gcp
         target = self.out or (Path("gcp_list.txt") if given is None else given.with_name("gcp_list.txt"))
         session = open_marking(project.as_run(), self.points, target)
-        server = MarkServer(session, self.port)
+        server = PageServer(MarkHandler, session, self.port)
         say(f"{len(session.file.points)} points; marks go to {target}")
         say(f"{server.url}  (ends with Ctrl-C)")
         server.serve_until_interrupted(self.browser)
@@ -88,11 +89,11 @@ class View(_Page):
     """A run folder with a cloud."""
 
     def run(self) -> int:
-        from tiegraph.pipeline.pages import ViewServer
+        from tiegraph.pipeline.pages import PageServer, ViewHandler
         from tiegraph.pipeline.view import open_view
 
         viewed = open_view(open_project(None, self.folder).as_run())
-        server = ViewServer(viewed, self.port)
+        server = PageServer(ViewHandler, viewed, self.port)
         say(f"{viewed.points} points, {len(viewed.images)} images")
         say(f"{server.url}  (ends with Ctrl-C)")
         server.serve_until_interrupted(self.browser)

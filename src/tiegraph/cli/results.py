@@ -17,6 +17,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.stages import write_atomic
 from tiegraph.project.stores import url_of
 from tiegraph.scene.atomic import must_be_new
+from tiegraph.text import counted
 
 _SHOWN = 10  # changes; the others stand in changes.csv
 
@@ -31,9 +32,8 @@ class Status:
     def run(self) -> int:
         rows = []
         for name, why, receipt in open_project(None, self.out).status():
-            counts = ", ".join(f"{v:g} {k}" for k, v in receipt.get("counts", {}).items())
             numbers = [str(receipt.get(k, "")) for k in ("seconds", "cpu_s", "peak_mib")]
-            rows.append([name, why or "up to date", *numbers, counts])
+            rows.append([name, why or "up to date", *numbers, counted(receipt.get("counts", {}))])
         show_table(["stage", "state", "seconds", "CPU s", "peak MiB", "counts"], rows)
         return 0
 

@@ -65,7 +65,7 @@ class Stations(Talk):
     """A file with other constants: tables [tuning.stations] and [tuning.cloud]."""
 
     def run(self) -> int:
-        from tiegraph.pipeline.stations import stations
+        from tiegraph.pipeline.shots import stations
 
         reporter, tunings = self.reporter(), read_tunings(self.tuning)
         made = stations(self.shots, self.out, self.poses, self.voxel_m, reporter, tunings)

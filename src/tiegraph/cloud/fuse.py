@@ -14,20 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tiegraph.cloud import voxels
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning
-from tiegraph.cloud.voxels import (
-    COLUMNS,
-    ROW,
-    TILE_VOXELS,
-    Voxels,
-    add_up,
-    positions,
-    rows_of,
-    spacing,
-    sums,
-    without_coarse_duplicates,
-)
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.transforms import invert
@@ -227,7 +216,7 @@ def _scatter_one(
             left_out += uncertain
             if len(cloud) == 0:
                 continue
-            tile, rows = rows_of(cloud, justified, voxel)
+            tile, rows = voxels.rows_of(cloud, justified, voxel)
             numbers = row_numbers(tile)
             order = order_of(numbers)
             np.take(rows, order).tofile(file)
@@ -260,11 +249,11 @@ def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, vox
     added = [_load(path)] if path.exists() else []
     held: list[np.ndarray] = []
     for k, (number, start, count) in enumerate(parts, 1):
-        held.append(np.fromfile(_map_path(scratch, number), ROW, count, offset=start * ROW.itemsize))
+        held.append(np.fromfile(_map_path(scratch, number), voxels.ROW, count, offset=start * voxels.ROW.itemsize))
         if k == len(parts) or sum(len(h) for h in held) > _MERGE_ROWS:
-            added = [add_up([*added, sums(np.concatenate(held), voxel)])]
+            added = [voxels.add_up([*added, voxels.sums(np.concatenate(held), voxel)])]
             held = []
-    merged = without_coarse_duplicates(added[0])
+    merged = voxels.without_coarse_duplicates(added[0])
     _save(path, merged)
     return len(merged)
 
@@ -273,31 +262,31 @@ def _filter_one(
     tile: Tile, scratch: Path, voxel: float, settings: CloudSettings, tuning: Tuning
 ) -> tuple[int, int, int]:
     """Filter one merged tile among its neighbours: (points kept, dropped by the statistical, by the radius filter)."""
-    voxels = _load(_tile_path(scratch, tile, "merged"))
+    merged = _load(_tile_path(scratch, tile, "merged"))
     if not settings.filtered:
-        _save(_tile_path(scratch, tile, "final"), voxels)
-        return len(voxels), 0, 0
-    justified = spacing(voxels.cell, voxel)
+        _save(_tile_path(scratch, tile, "final"), merged)
+        return len(merged), 0, 0
+    justified = voxels.spacing(merged.cell, voxel)
     around = _margin(tile, scratch, voxel, tuning.radius_voxels * float(justified.max()))
-    xyz = positions(voxels.cell, voxels.weight, voxels.place, tile, voxel)
+    xyz = voxels.positions(merged.cell, merged.weight, merged.place, tile, voxel)
     keep, statistical, radius = filter_points(xyz, justified, settings, tuning, around)
-    kept = voxels.where(keep)
+    kept = merged.where(keep)
     _save(_tile_path(scratch, tile, "final"), kept)
     return len(kept), statistical, radius
 
 
 def _margin(tile: Tile, scratch: Path, voxel: float, reach: float) -> np.ndarray:
     """Points (K, 3) of the neighbouring tiles within ``reach`` of the tile."""
-    reach = min(reach, TILE_VOXELS / 4 * voxel)
-    low = np.array(tile) * TILE_VOXELS * voxel - reach
-    high = low + TILE_VOXELS * voxel + 2 * reach
+    reach = min(reach, voxels.TILE_VOXELS / 4 * voxel)
+    low = np.array(tile) * voxels.TILE_VOXELS * voxel - reach
+    high = low + voxels.TILE_VOXELS * voxel + 2 * reach
     found = [np.zeros((0, 3))]
     for step in np.ndindex(3, 3, 3):
         other: Tile = (tile[0] + step[0] - 1, tile[1] + step[1] - 1, tile[2] + step[2] - 1)
         path = _tile_path(scratch, other, "merged")
         if other != tile and path.exists():
             cell, weight, place = _columns(path, 3)
-            xyz = positions(cell, weight, place, other, voxel)
+            xyz = voxels.positions(cell, weight, place, other, voxel)
             near = np.ones(len(xyz), bool)
             for k in range(3):
                 near &= (xyz[:, k] >= low[k]) & (xyz[:, k] <= high[k])
@@ -313,21 +302,21 @@ def _map_path(scratch: Path, number: int) -> Path:
     return scratch / f"{number:06d}.points"
 
 
-def _save(path: Path, voxels: Voxels) -> None:
+def _save(path: Path, points: voxels.Voxels) -> None:
     with replacing(path) as temporary, open(temporary, "wb") as file:
-        for values in voxels.__dict__.values():
+        for values in vars(points).values():
             values.tofile(file)
 
 
-def _load(path: Path) -> Voxels:
-    return Voxels(*_columns(path, len(COLUMNS)))
+def _load(path: Path) -> voxels.Voxels:
+    return voxels.Voxels(*_columns(path, len(voxels.COLUMNS)))
 
 
 def _columns(path: Path, count: int) -> list[np.ndarray]:
     """The first columns of a tile file."""
-    rows = path.stat().st_size // sum(np.dtype(kind).itemsize for kind in COLUMNS)
+    rows = path.stat().st_size // sum(np.dtype(kind).itemsize for kind in voxels.COLUMNS)
     with open(path, "rb") as file:
-        return [np.fromfile(file, kind, rows) for kind in COLUMNS[:count]]
+        return [np.fromfile(file, kind, rows) for kind in voxels.COLUMNS[:count]]
 
 
 def filter_points(

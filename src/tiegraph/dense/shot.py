@@ -11,17 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.dense.plan import (
-    CameraModel,
-    DensePlan,
-    DepthRange,
-    ImagePlan,
-    ViewPlan,
-    angle_weight,
-    intersections,
-    range_of,
-    refusal,
-)
+from tiegraph.dense import plan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole
@@ -37,26 +27,28 @@ _LEAST_POINTS = 10  # that must fall onto the depth maps of a shot: its median i
 _GRID = 0.04  # relative step of the units tried first; half of it is how well a depth must agree there
 
 
-def depth_range(views: Sequence[ViewPlan], near: float | None, far: float | None) -> DepthRange:
+def depth_range(views: Sequence[plan.ViewPlan], near: float | None, far: float | None) -> plan.DepthRange:
     """The range given, or 5 (11.5 degrees, where images still look alike) to 100 times (0.6 degrees, where rays hardly
     intersect) the longest baseline. Raises InputError for a range that is none, or views in one place."""
     centres = centre(np.array([v.cam_from_world for v in views]))
     longest = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()) if len(views) else 0.0
     if longest == 0 or not np.isfinite(longest):
         raise InputError("a shot needs at least two calibrated cameras in different places: look at the rig file")
-    found = DepthRange(5 * longest if near is None else near, 100 * longest if far is None else far)
+    found = plan.DepthRange(5 * longest if near is None else near, 100 * longest if far is None else far)
     if not 0 < found.near < found.far < np.inf:
         raise InputError(f"depth range {found.near:g} to {found.far:g}: near must be above 0 and below far")
     return found
 
 
-def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSettings, tuning: Tuning) -> DensePlan:
+def plan_shot(
+    views: Sequence[plan.ViewPlan], sought: plan.DepthRange, settings: DenseSettings, tuning: Tuning
+) -> plan.DensePlan:
     """Partners of every image of one shot; cam_from_world of the views is in the rig's frame and metres.
 
     Raises InputError when no two images can be matched.
     """
     cameras = [pinhole(v, settings) for v in views]
-    images: dict[str, ImagePlan] = {}
+    images: dict[str, plan.ImagePlan] = {}
     dropped: list[tuple[str, str]] = []
     refused: Counter[str] = Counter()
     for k, view in enumerate(views):
@@ -67,7 +59,7 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
             dropped.append((view.name, "; ".join(sorted({reason for reason, _, _ in looked}))))
             continue
         partners = tuple(v for _, _, v in good)
-        images[view.name] = ImagePlan(
+        images[view.name] = plan.ImagePlan(
             view=view, partners=partners, witnesses=tuple(v.name for v in partners), depth_range=sought
         )
     if not images:
@@ -75,15 +67,15 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
             f"no two cameras of the shot can be matched between {sought.near:g} and {sought.far:g} m: "
             f"{'; '.join(dict.fromkeys(r for _, r in dropped))}. Give --near and --far, and look at the rig file"
         )
-    return DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
+    return plan.DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
 
 
 def plan_hanging(
     model: pycolmap.Reconstruction, names: Collection[str], settings: DenseSettings, tuning: Tuning
-) -> DensePlan:
+) -> plan.DensePlan:
     """Partners of the images of a metric model that hang on their rigs: those of the same frame, by geometry alone,
     between the depths at which the frame's other images see points."""
-    images: dict[str, ImagePlan] = {}
+    images: dict[str, plan.ImagePlan] = {}
     dropped: list[tuple[str, str]] = []
     refused: Counter[str] = Counter()
     for frame in model.frames.values():
@@ -97,24 +89,25 @@ def plan_hanging(
         if not hanging:
             continue
         views = [
-            ViewPlan(i.name, CameraModel.of(model.camera(i.camera_id)), matrix(i.cam_from_world())) for i in hanging
+            plan.ViewPlan(i.name, plan.CameraModel.of(model.camera(i.camera_id)), matrix(i.cam_from_world()))
+            for i in hanging
         ]
         seen = np.concatenate([d[d > 0] for d in depths])
         try:
             if len(seen) < tuning.partners.min_shared:
                 raise InputError(f"the wide images of its frame see {len(seen)} points: too few to tell where to look")
-            found = plan_shot(views, range_of(seen), settings, tuning)
+            found = plan_shot(views, plan.range_of(seen), settings, tuning)
         except InputError as error:
             dropped += [(v.name, str(error)) for v in views]
             continue
         images |= found.images
         dropped += found.dropped
         refused.update(found.refused)
-    return DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
+    return plan.DensePlan(images=images, dropped=tuple(dropped), refused=dict(refused))
 
 
 def _look(
-    reference: Pinhole, other: Pinhole, sought: DepthRange, settings: DenseSettings, tuning: Tuning
+    reference: Pinhole, other: Pinhole, sought: plan.DepthRange, settings: DenseSettings, tuning: Tuning
 ) -> tuple[str, float]:
     """Why a camera is no partner, "" if it is one, by points spread over the reference's frame and the depths sought;
     and its worth."""
@@ -128,12 +121,12 @@ def _look(
     seen = front & (at >= 0).all(axis=1) & (at <= other.size).all(axis=1)
     if seen.mean() < 0.1:
         return NO_OVERLAP, 0.0
-    angle, usable = intersections(reference.cam_from_world, other.cam_from_world, world[seen])
+    angle, usable = plan.intersections(reference.cam_from_world, other.cam_from_world, world[seen])
     nearer = np.median(apply(reference.cam_from_world, world[seen])[:, 2] / there[seen, 2])
     scale = float(other.K[0, 0] / reference.K[0, 0] * nearer)
     widest = float(np.percentile(angle, 90))  # what is near can be measured though the far end cannot
-    worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
-    return refusal(widest, float(usable.mean()), scale, settings, tuning.partners), worth
+    worth = float(seen.mean() * plan.angle_weight(angle, tuning.partners).mean())
+    return plan.refusal(widest, float(usable.mean()), scale, settings, tuning.partners), worth
 
 
 @dataclass(frozen=True)

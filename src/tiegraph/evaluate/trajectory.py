@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -66,24 +67,11 @@ class RelativeError:
 
 
 @dataclass(frozen=True)
-class PartError:
-    """A pass or a section (``kind``): errors of its poses after the alignment of all, the path that its longest
-    sequence travelled, relative errors and drift between its own poses."""
-
-    kind: str
-    name: str
-    errors_m: np.ndarray
-    path_m: float
-    relative: tuple[RelativeError, ...]
-    yaw_drift_deg_per_100m: float
-
-
-@dataclass(frozen=True)
 class TrajectoryError:
     """All of it. sim3/se3: after a least-squares alignment with and without scale; absolute: no alignment (None when
-    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; parts: each pass,
-    section and camera on a pass by itself. ``metric``: something told the model's scale; if not, all but se3 is after a
-    similarity, and neither se3 nor the scale is an error."""
+    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; parts: of each pass,
+    section and camera on a pass the kind and the row of its table, after the alignment of all. ``metric``: something
+    told the model's scale; if not, all but se3 is after a similarity, and neither se3 nor the scale is an error."""
 
     metric: bool
     sim3: PositionError
@@ -93,7 +81,7 @@ class TrajectoryError:
     within_m: float
     relative: tuple[RelativeError, ...]
     yaw_drift_deg_per_100m: float
-    parts: tuple[PartError, ...] = ()
+    parts: tuple[tuple[str, dict[str, Any]], ...] = ()
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
@@ -109,34 +97,19 @@ class TrajectoryError:
         for r in (r for r in self.relative if r.count):
             rows.append((f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m"))
             rows.append((f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg"))
-        return [
-            Metric(name=name, value=value, unit=unit, better="low")
-            if name != near
-            else Metric(name=name, value=value, unit=unit, better="high", target=100.0)
-            for name, value, unit in rows
-        ]
+        shares = {near: {"better": "high", "target": 100.0}}
+        return [Metric(name, value, unit, **shares.get(name, {})) for name, value, unit in rows]
 
     def tables(self) -> dict[str, dict]:
-        """Tables for metrics.json."""
+        """Tables for metrics.json; what no part has, such as a distance that none spans, has no columns."""
         relative = [[r.distance_m, r.translation_m, r.rotation_deg, r.count] for r in self.relative if r.count]
         columns = ["distance m", "translation m", "rotation deg", "pose pairs"]
         out = {"relative pose error": {"columns": columns, "rows": relative}} if relative else {}
-        kinds = dict.fromkeys(p.kind for p in self.parts)
-        return {**out, **{f"trajectory by {kind}": self._by_part(kind) for kind in kinds}}
-
-    def _by_part(self, kind: str) -> dict:
-        """A row a part; what no part has, such as a distance that none spans, has no columns."""
-        rows = []
-        for p in (p for p in self.parts if p.kind == kind):
-            e = p.errors_m
-            row = {kind: p.name, "matched": len(e), "path m": p.path_m or _NAN, "rmse m": float(np.sqrt(np.mean(e**2)))}
-            row |= {"median m": float(np.median(e)), "max m": float(e.max())}
-            for r in p.relative:
-                there = f"RPE {r.distance_m:g} m"
-                row |= {f"{there}, m": r.translation_m, f"{there}, deg": r.rotation_deg}
-            rows.append({**row, "yaw drift deg/100 m": p.yaw_drift_deg_per_100m})
-        columns = [c for c in rows[0] if any(row[c] == row[c] for row in rows)]
-        return {"columns": columns, "rows": [[row[c] for c in columns] for row in rows]}
+        for kind in dict.fromkeys(kind for kind, _ in self.parts):
+            rows = [row for of, row in self.parts if of == kind]
+            columns = [c for c in rows[0] if any(row[c] == row[c] for row in rows)]
+            out[f"trajectory by {kind}"] = {"columns": columns, "rows": [[row[c] for c in columns] for row in rows]}
+        return out
 
 
 def evaluate_trajectory(
@@ -243,20 +216,20 @@ def _by_part(
     errors_m: np.ndarray,
     distances_m: tuple[float, ...],
     tuning: TrajectoryTuning,
-) -> Iterator[PartError]:
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Kind and row of each part: errors of its poses, the path that its longest sequence travelled, relative errors and
+    drift between its own poses."""
     for kind, names in match.parts.items():
         for name in dict.fromkeys(names):
             rows = np.flatnonzero(names == name)
-            part = match.where(rows)
-            ways = [path_length(part.reference[k, :3, 3])[-1] for k in part.sequences()]
-            yield PartError(
-                kind=kind,
-                name=str(name),
-                errors_m=errors_m[rows],
-                path_m=float(max(ways, default=0.0)),
-                relative=tuple(relative_error(part, d, tuning.max_stretch) for d in distances_m),
-                yaw_drift_deg_per_100m=yaw_drift(part, aligned[rows]),
-            )
+            part, e = match.where(rows), errors_m[rows]
+            ways = [float(path_length(part.reference[k, :3, 3])[-1]) for k in part.sequences()]
+            row = {kind: str(name), "matched": len(e), "path m": max(ways, default=0.0) or _NAN}
+            row |= {"rmse m": float(np.sqrt(np.mean(e**2))), "median m": float(np.median(e)), "max m": float(e.max())}
+            for distance in distances_m:
+                r, there = relative_error(part, distance, tuning.max_stretch), f"RPE {distance:g} m"
+                row |= {f"{there}, m": r.translation_m, f"{there}, deg": r.rotation_deg}
+            yield kind, {**row, "yaw drift deg/100 m": yaw_drift(part, aligned[rows])}
 
 
 def path_length(positions: np.ndarray) -> np.ndarray:
@@ -266,8 +239,8 @@ def path_length(positions: np.ndarray) -> np.ndarray:
 
 def registered_metrics(images: Registration) -> list[Metric]:
     """Shares of the images that are registered and that only their rig places, percent."""
-    found = {"registered_images": (images.registered, "high", 100.0), "images_by_rig": (images.by_rig, "low", 0.0)}
+    used, placed = (100 * float(np.mean(of)) if len(of) else _NAN for of in (images.registered, images.by_rig))
     return [
-        Metric(name=name, value=100 * float(np.mean(of)) if len(of) else _NAN, unit="%", better=better, target=target)
-        for name, (of, better, target) in found.items()
+        Metric("registered_images", used, "%", better="high", target=100.0),
+        Metric("images_by_rig", placed, "%", target=0.0),
     ]

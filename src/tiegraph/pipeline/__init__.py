@@ -22,8 +22,8 @@ __all__ = ["MESH", "SHOTS", "STAGES", "table"]
 
 
 _ELSEWHERE = {
-    "preview": "features", "candidates": "network", "coarse": "network", "match": "features",
-    "refine": "masks", "cloud": "dense", "report": "evaluate",
+    "preview": "features", "candidates": "network", "coarse": "network", "design": "network", "match": "features",
+    "sparse": "georef", "refine": "masks", "cloud": "dense", "report": "evaluate",
 }  # fmt: skip
 
 

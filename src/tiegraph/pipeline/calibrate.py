@@ -12,29 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.calibrate import board as boards
+from tiegraph.calibrate import summary
 from tiegraph.calibrate.adjust import Adjusted, adjust_robustly, start
-from tiegraph.calibrate.board import (
-    Board,
-    CameraImages,
-    Corners,
-    Observations,
-    View,
-    check_count,
-    check_one_camera,
-    check_views,
-    detect,
-    read_board,
-)
 from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
 from tiegraph.calibrate.settings import CalibrateSettings
-from tiegraph.calibrate.summary import (
-    kalibr_yaml,
-    lengths,
-    opencv_yaml,
-    residual_picture,
-    rig_sigmas,
-    summary,
-)
 from tiegraph.errors import InputError
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Reporter
@@ -44,7 +26,6 @@ from tiegraph.scan.assign import match_frames
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.prepare import Report, usable_images
 from tiegraph.scan.rigfiles.camerafile import MODELS
-from tiegraph.scan.rigfiles.rigfaults import nearest
 from tiegraph.scan.rigfiles.rigspec import rig_config, rig_toml
 from tiegraph.scene.atomic import must_be_new
 from tiegraph.scene.composed import WIDE
@@ -52,7 +33,7 @@ from tiegraph.scene.decoding import Levels, eight_bit, opened, turned
 from tiegraph.scene.images import Probe, probe_image, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.text import one_line
+from tiegraph.text import meant, one_line
 
 _FOLDER = "_calibration"  # beside the rig.toml: its name without suffix, and this
 
@@ -73,31 +54,31 @@ def calibrate(
     """
     reporter, tunings = reporter or Reporter("quiet"), tunings or VerbTunings()
     folder = _folder_beside(out)
-    pattern = read_board(board)
+    pattern = boards.read_board(board)
     cameras, files, found = _read_folder(images, settings, pool, reporter, tunings)
     check_wide(settings.wide, [c.name for c in cameras])
     with reporter.stage("corners"):
         reporter.total(len(files))
         corners = _map(pool, reporter, _corners, files, pattern)
     views = tuple(
-        View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
+        boards.View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
         for f, (numbers, xy) in zip(files, corners)
         if len(numbers)
     )
-    seen = Observations(pattern, cameras, views)
+    seen = boards.Observations(pattern, cameras, views)
     unread, read = [], {view.name for view in views}
     for number, camera in enumerate(cameras):
         names = [f.name for f in files if f.camera == number and f.name not in read]
         if names:
             unread.append(f"{camera.name}: no board in {len(names)} of {camera.count} images: {', '.join(names)}")
-    check_views(seen)
+    boards.check_views(seen)
     done = adjust_robustly(seen, start(seen), settings.board_sigma)
     verdict = judge(done)
     constants = [f"constants changed: {tunings.changed()}"] if tunings.changed() else []
     notes = (board, *constants, *found, *unread)
     _write(out, done, verdict, notes, _rig(done, verdict, settings.wide))
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
-    scale = () if len(cameras) == 1 else (lengths(done),)
+    scale = () if len(cameras) == 1 else (summary.lengths(done),)
     written = f"written: {out}", f"summary: {folder / 'summary.md'}"
     for text in (*unread, *left_out, *verdict.advice, *scale, *written):
         reporter.say(text)
@@ -118,12 +99,12 @@ class _File:
 
 def _read_folder(
     images: Path, settings: CalibrateSettings, pool: str, reporter: Reporter, tunings: VerbTunings
-) -> tuple[tuple[CameraImages, ...], tuple[_File, ...], tuple[str, ...]]:
+) -> tuple[tuple[boards.CameraImages, ...], tuple[_File, ...], tuple[str, ...]]:
     """Cameras and files below a folder, in the layouts that ``scan`` reads, and notes."""
     tuning, report = tunings.scan, Report()
     found, passed_over = search_images(images)
     names = clean_names(found)
-    check_count(images, len(names))
+    boards.check_count(images, len(names))
     paths = [Path(images, f) for f in found]
     with reporter.stage("images"):
         reporter.total(len(paths))
@@ -138,12 +119,12 @@ def _read_folder(
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
     report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
     if len(layout.folders) == 1 and settings.layout == "auto":
-        check_one_camera([names[k] for k in kept])
+        boards.check_one_camera([names[k] for k in kept])
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
     cameras = tuple(
-        CameraImages(
+        boards.CameraImages(
             name=f or "camera",
             folder=f,
             model=model,
@@ -181,7 +162,7 @@ def _models(words: Sequence[str], names: Sequence[str]) -> list[str]:
     for word in words:
         name, _, model = word.rpartition("=")
         if model.upper() not in MODELS:
-            raise InputError(f"--model {word}: no camera model {model!r}{nearest(model.upper(), MODELS)}")
+            raise InputError(f"--model {word}: no camera model {model!r}{meant(model.upper(), MODELS, 0.5)}")
         if name and name not in names:
             raise InputError(f"--model {word}: no camera {name!r}; found are {', '.join(names)}")
         if name:
@@ -235,11 +216,11 @@ def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args
         return map_items(executor, workers, function, items, args, reporter.advance)  # type: ignore[arg-type]
 
 
-def _corners(file: _File, board: Board) -> Corners:
+def _corners(file: _File, board: boards.Board) -> boards.Corners:
     found = opened(file.path.read_bytes(), file.path.suffix)
     pixels = eight_bit(found.pixels(), file.levels)
     grey = pixels if pixels.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2GRAY)
-    return detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board)
+    return boards.detect(np.ascontiguousarray(turned(grey, found.orientation) if file.upright else grey), board)
 
 
 def _folder_beside(out: Path) -> Path:
@@ -258,20 +239,20 @@ def _write(out: Path, done: Adjusted, verdict: Verdict, said: Sequence[str], rig
     names = [c.name for c in done.seen.cameras]
     files = [f"camera{k}" for k in range(len(names))]  # folders may have several levels
     for k, stem in enumerate(files):
-        text = opencv_yaml(done.state.cameras[k])
+        text = summary.opencv_yaml(done.state.cameras[k])
         if text is None:
             notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
         else:
             write_atomic(folder / f"{stem}.yaml", text)
-        write_atomic(folder / f"{stem}_residuals.png", residual_picture(done, k))
-    chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
+        write_atomic(folder / f"{stem}_residuals.png", summary.residual_picture(done, k))
+    chain = summary.kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
     if chain is None:
         notes.append("no camchain.yaml: Kalibr has no such camera model")
     else:
         write_atomic(folder / "camchain.yaml", chain)
     pictures = {name: f"{stem}_residuals.png" for name, stem in zip(names, files)}
     write_atomic(folder / "rig_config.json", rig_config([rig]))
-    write_atomic(folder / "summary.md", summary(done, verdict, board, notes, pictures))
+    write_atomic(folder / "summary.md", summary.summary(done, verdict, board, notes, pictures))
     comment = f"Calibrated by tiegraph with the board {one_line(board)}: {len(done.seen.views)} views, sigma of a " \
               f"corner {done.sigma_px:.3f} px.\nLengths come from the size of its squares."  # fmt: skip
     write_atomic(out, rig_toml(rig, comment))
@@ -289,7 +270,7 @@ def check_wide(wide: Sequence[str], cameras: Sequence[str]) -> None:
 def _rig(done: Adjusted, verdict: Verdict, wide: Sequence[str]) -> Rig:
     sensors = []
     for k, (images, camera) in enumerate(zip(done.seen.cameras, done.state.cameras)):
-        turn, place = rig_sigmas(verdict.precision, k) if k else (None, None)
+        turn, place = summary.rig_sigmas(verdict.precision, k) if k else (None, None)
         sensors.append(
             Sensor(
                 name=images.name,

@@ -19,15 +19,7 @@ import numpy as np
 from tiegraph.cloud.fuse import FusionResult, Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.evaluate.clouds.judge import (
-    PassAgreement,
-    Question,
-    by_section,
-    difference_map,
-    judge_cloud,
-    near_places,
-    told_of,
-)
+from tiegraph.evaluate.clouds import judge
 from tiegraph.evaluate.clouds.m3c2 import Changes, Differences, Sigma, changes, cylinders_of, m3c2_tiled
 from tiegraph.evaluate.clouds.nearest import Cameras, meeting
 from tiegraph.evaluate.clouds.register import Registration, registered
@@ -53,7 +45,9 @@ from tiegraph.scene.scene import Scene
 from tiegraph.text import command, csv_text
 
 
-def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question, tuning: Tuning) -> dict[str, Any]:
+def evaluate_clouds(
+    files: tuple[Path, Path], out: Path | None, question: judge.Question, tuning: Tuning
+) -> dict[str, Any]:
     """Compare the first of two cloud files with the second; the content of metrics.json. ``out``: a folder for it, a
     map and clouds.
 
@@ -74,7 +68,7 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
         if own.crs and truth.crs and own.crs != truth.crs:
             frames = _place(truth.crs), _place(own.crs)
             truth = truth.moved(lambda xyz: to_world(xyz, *frames), own.crs)
-        found = judge_cloud(own, truth, scratch, question, tuning)
+        found = judge.judge_cloud(own, truth, scratch, question, tuning)
         result = metrics_to_dict(found.metrics(), found.tables(), [found.notes(), *notes])
         if folder is not None:
             write_judgement(found, folder, _place(own.crs))
@@ -151,7 +145,7 @@ def compare_epochs(
         held = "by the georeference of both surveys, with both their sigmas"
         pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
     else:
-        with told_of(other.name):
+        with judge.told_of(other.name):
             fitted = registered(other, first.cloud, tuning.registration, False, coarse)
         moved, along = other.moved(fitted.fit), fitted.sigma_along
         held = "by ICP from a start by their shapes" if coarse else "by ICP"
@@ -172,7 +166,7 @@ def differences_of(pair: Pair, out: Path, tuning: Tuning, depth_m: float | None)
         save_json(folder / "changes.json", result)
         table = changed.table(shift_of(pair.origin), len(changed.listed))
         write_atomic(folder / "changes.csv", csv_text(table["columns"], table["rows"]))
-        write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
+        write_atomic(folder / "changes.png", judge.difference_map(found, "second minus first", only_significant=True))
         write_measured([measured(found)], folder / "changes.laz", pair.origin, found.cylinders.cores_m)
     return result
 
@@ -182,7 +176,7 @@ def m3c2_of(
 ) -> Differences:
     """The second cloud minus the first, at about ``most`` core points. Raises InputError if they do not overlap."""
     clouds = tile_clouds(pair.first, pair.second, scratch, tuning.cloud)
-    with told_of(pair.second.name):
+    with judge.told_of(pair.second.name):
         meeting(clouds)
         cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
     return m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma, most)
@@ -273,7 +267,7 @@ def compare_passes(run: Run, out: Path, depth_m: float | None = None) -> dict[st
         return differences_of(pair, out, run.settings.tuning.evaluate, depth_m)
 
 
-def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> PassAgreement | None:
+def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> judge.PassAgreement | None:
     """Compare depth maps of the two largest passes, all of few and else some near places along the path, and write
     agreement.json, differences.png and differences.laz into the folder ``passes``; None for one pass.
 
@@ -283,7 +277,7 @@ def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> 
     there = _two_largest(run, scene)
     if len(there) < 2:
         return None
-    rows = near_places(there[0].centres, there[1].centres, tuning.passes)
+    rows = judge.near_places(there[0].centres, there[1].centres, tuning.passes)
     used = [one.where(k) for one, k in zip(there, rows)]
     of: dict[str, Any] = {
         "passes": (used[0].name, used[1].name),
@@ -296,13 +290,13 @@ def write_agreement(run: Run, scratch: Path, voxel_m: float, mapper: Mapper) -> 
         (scratch / "tiles").mkdir()
         found = m3c2_of(pair, scratch / "tiles", tuning, most=tuning.passes.cores)
     except (InputError, ReconstructionError) as error:
-        agreement = PassAgreement(**of, found={}, why_not=str(error))
+        agreement = judge.PassAgreement(**of, found={}, why_not=str(error))
     else:
-        agreement = PassAgreement(**of, found=by_section(found, pair.cameras))
+        agreement = judge.PassAgreement(**of, found=judge.by_section(found, pair.cameras))
         title = f"{used[1].name} minus {used[0].name}"
-        write_atomic(folder / "differences.png", difference_map(found, title))
+        write_atomic(folder / "differences.png", judge.difference_map(found, title))
         write_measured([measured(found)], folder / "differences.laz", pair.origin, found.cylinders.cores_m)
-    save_json(folder / "agreement.json", agreement.to_dict())
+    save_json(folder / "agreement.json", asdict(agreement))
     return agreement
 
 

@@ -5,7 +5,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +19,12 @@ from tiegraph.dense.plan import CameraModel, DensePlan, ImagePlan, ViewPlan, pla
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_hanging
 from tiegraph.dense.tuning import Tuning
-from tiegraph.dense.undistort import load_view, pinhole, write_workspace
-from tiegraph.errors import InputError, ReconstructionError, TiegraphError
+from tiegraph.dense.undistort import load_view, pinhole
+from tiegraph.errors import ReconstructionError
 from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.limits import explained
-from tiegraph.pipeline.files import (
-    CLOUD,
-    FINAL,
-    load_json,
-    load_map,
-    load_model,
-    placement_error,
-    reading,
-    whole,
-    world_origin,
-)
+from tiegraph.pipeline import files
 from tiegraph.pipeline.georef import stated
-from tiegraph.project.folder import must_be_empty
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import remove, same_file
@@ -73,7 +61,7 @@ def dense(run: Run) -> Outcome:
     run.map(_confirm_item, todo, *args)
     paths = [_counts_path(run.folder, n) for n in names]
     told = all(p.exists() for p in paths)  # else there was nothing left to do
-    found = Consistency.total(Consistency(**load_json(p)) for p in paths) if told else None
+    found = Consistency.total(Consistency(**files.load_json(p)) for p in paths) if told else None
     # The first form of a confirmed map may still be needed as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
     pixels = run.map(_known_pixels, names, run.folder)
@@ -88,8 +76,12 @@ def dense(run: Run) -> Outcome:
 
 def plan_of(run: Run) -> DensePlan:
     """The pairs of images to match, by the model in the world; those of dependent cameras within their frame."""
-    settings, tuning, model = run.settings.dense, run.settings.tuning.dense, load_model(run.path("sparse", "world"))
-    survey = whole(run)
+    settings, tuning, model = (
+        run.settings.dense,
+        run.settings.tuning.dense,
+        files.load_model(run.path("sparse", "world")),
+    )
+    survey = files.whole(run)
     hanging = {survey.names[k] for k in np.flatnonzero(~carries(survey))}
     if not hanging:
         return plan_images(model, settings, tuning.partners)
@@ -123,7 +115,7 @@ def _sizes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning)
 
 def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:
     """Saves the depth map of an image before it is compared with others; the matcher of its pairs."""
-    masks = folder / FINAL / "masks"
+    masks = folder / files.FINAL / "masks"
     found = depth_map(plans[name], folder / "images", masks, settings, tuning, cv2.getNumThreads())
     save_depth(found, depth_path(folder, name, FIRST))
     return matched_by(settings, tuning)
@@ -132,8 +124,8 @@ def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: 
 def _confirm_item(
     name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning
 ) -> None:
-    load = partial(_known_map, folder=folder, step=FIRST)
-    first = load_map(depth_path(folder, name, FIRST))
+    load = partial(known_depth, folder=folder, step=FIRST)
+    first = files.load_map(depth_path(folder, name, FIRST))
     confirmed, counts = confirmed_map(plans[name], first, load, settings, tuning)
     write_atomic(_counts_path(folder, name), json.dumps(asdict(counts)))
     save_depth(confirmed, depth_path(folder, name))
@@ -146,19 +138,8 @@ def _counts_path(folder: Path, name: str) -> Path:
 
 def _known_pixels(name: str, folder: Path) -> int:
     path = depth_path(folder, name)
-    with reading(path), np.load(path) as columns:
+    with files.reading(path), np.load(path) as columns:
         return int(np.isfinite(columns["depth_m"]).sum())
-
-
-def hand_over(run: Run, target: Path) -> int:
-    """The depth maps as a dense workspace of COLMAP; their number. Raises InputError for a folder that is not empty."""
-    must_be_empty(target)
-    model, load = load_model(run.path("sparse", "world")), partial(_known_map, folder=run.folder)
-    try:
-        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
-    except (OSError, RuntimeError) as error:
-        told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
-        raise error if isinstance(error, TiegraphError) else told from error
 
 
 def colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
@@ -168,12 +149,13 @@ def colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: Dens
 
 def read_depth(name: str, folder: Path) -> DepthMap:
     """The finished depth map of an image."""
-    return load_map(depth_path(folder, name))
+    return files.load_map(depth_path(folder, name))
 
 
-def _known_map(name: str, folder: Path, step: str = "") -> DepthMap | None:
+def known_depth(name: str, folder: Path, step: str = "") -> DepthMap | None:
+    """The depth map of an image, if there is one."""
     path = depth_path(folder, name, step)
-    return load_map(path) if path.exists() else None
+    return files.load_map(path) if path.exists() else None
 
 
 def cloud(run: Run) -> Outcome:
@@ -191,11 +173,11 @@ def cloud(run: Run) -> Outcome:
     drawn = partial(colours, plans=plans, images=run.path("images"), settings=run.settings.dense)
     maps = Maps(partial(read_depth, folder=run.folder), drawn)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
-    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run.folder), mapper)
+    fused = fuse(sorted(plans), maps, scratch, settings, tuning, files.world_origin(run.folder), mapper)
     sigmas = _sigmas(run, fused.clouds())
     said = accuracy_said(run, sigmas)
-    notes = [*write_copc(fused.clouds, run.path(CLOUD), fused.voxel, scratch, said)]
-    same_file(run.path(CLOUD), run.path("cloud.laz"))
+    notes = [*write_copc(fused.clouds, run.path(files.CLOUD), fused.voxel, scratch, said)]
+    same_file(run.path(files.CLOUD), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
     agreement = write_agreement(run, scratch, fused.voxel, mapper)
     if agreement is not None and agreement.why_not:
@@ -207,8 +189,8 @@ def cloud(run: Run) -> Outcome:
 def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     """Median of the points' sigma, and median and 90th percentile of that in the world, if the model is placed: of
     the matching, of the cameras inside the model and of the placement together."""
-    error, own, world = placement_error(run.folder), [], []
-    inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
+    error, own, world = files.placement_error(run.folder), [], []
+    inside = (files.load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
         some = part.where(np.arange(0, len(part), 50))  # points of the cloud sampled for its sigma in the world
         own.append(some.sigma_m)
@@ -233,31 +215,28 @@ def accuracy_said(run: Run, sigmas: Mapping[str, float]) -> str:
 _SHARP = 20_000  # longest side of an undistorted image: as large as they come
 
 
-def plans_of(run: Run) -> list[ViewPlan]:
-    """The images of the model in the world, by name."""
-    images = load_model(run.path("sparse", "world")).images.values()
-    there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
-    return [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
-
-
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Where the pixels of the images come from: at their own resolution, undistorted."""
+    """The images of the model in the world, by name, at their own resolution, undistorted."""
 
     folder: Path
     plans: Sequence[ViewPlan]
     sharp: DenseSettings
 
     @staticmethod
-    def of(run: Run, plans: Sequence[ViewPlan]) -> "Pictures":
+    def of(run: Run) -> "Pictures":
         """Those of a run."""
+        images = files.load_model(run.path("sparse", "world")).images.values()
+        there = sorted((i for i in images if i.has_pose), key=lambda i: i.name)
+        plans = [ViewPlan(i.name, CameraModel.of(i.camera), matrix(i.cam_from_world())) for i in there]
         return Pictures(run.folder, plans, run.settings.dense.model_copy(update={"max_image_size": _SHARP}))
 
-    def cameras(self) -> list[Pinhole]:
+    @cached_property
+    def views(self) -> list[Pinhole]:
         """The undistorted cameras, without reading an image."""
         return [pinhole(p, self.sharp) for p in self.plans]
 
     def picture(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """RGB (H, W, 3) u1 of an image, and which of its pixels may be used (H, W) bool."""
-        found = load_view(self.plans[k], self.folder / "images", self.folder / FINAL / "masks", self.sharp)
+        found = load_view(self.plans[k], self.folder / "images", self.folder / files.FINAL / "masks", self.sharp)
         return cv2.cvtColor(found.image_bgr, cv2.COLOR_BGR2RGB), found.mask

@@ -49,7 +49,7 @@ def evaluate(run: Run) -> Outcome:
         scratch.mkdir(parents=True)
     made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=counts.get("voxel"), scratch=scratch)
     passes = run.path(PASSES, "agreement.json")
-    agreement = PassAgreement.from_dict(load_json(passes)) if passes.exists() else None  # of one pass
+    agreement = PassAgreement(**load_json(passes)) if passes.exists() else None  # of one pass
     of_run, unfit = (tuning.evaluate, stated(run, counts), agreement), []
     try:
         found = evaluate_survey(scene, made, settings, *of_run)

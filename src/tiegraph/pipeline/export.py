@@ -4,8 +4,9 @@ and the cloud."""
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -13,30 +14,15 @@ import laspy
 import numpy as np
 
 from tiegraph.dense.plan import CameraModel, ViewPlan
-from tiegraph.dense.undistort import centred_pinhole, view_through
+from tiegraph.dense.undistort import centred_pinhole, view_through, write_workspace
 from tiegraph.errors import InputError, TiegraphError, choose
 from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
 from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
 from tiegraph.export.tiles3d import FILE as TREE
 from tiegraph.export.tiles3d import Place, write_points
 from tiegraph.limits import explained
-from tiegraph.pipeline.dense import depth_path
-from tiegraph.pipeline.files import (
-    CLOUD,
-    FINAL,
-    checked,
-    load_map,
-    load_model,
-    mask_path,
-    pairs_of,
-    placement_error,
-    read_image,
-    reading,
-    save_png,
-    whole,
-    world_origin,
-    world_unit,
-)
+from tiegraph.pipeline import files
+from tiegraph.pipeline.dense import depth_path, known_depth
 from tiegraph.pipeline.mesh import FOLDER as MESH
 from tiegraph.pipeline.mesh import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
@@ -70,73 +56,81 @@ class _Picture:
     depth: str = ""
 
 
-def hand_out(run: Run, target: Path, name: str, camera: str = "") -> int:
-    """Write the folder ``target`` for a program, whole or not at all; its number of images, poses or cameras.
+def needed(name: str) -> tuple[str, str]:
+    """The artefact of a run that an export is made of, and the stage that makes it. Raises SettingsError for an unknown
+    name."""
+    clouds = dict.fromkeys(CLOUDS, ("cloud.laz", "cloud"))
+    of = {"results": ("report.html", "report"), "dense": ("depth", "dense"), **clouds}
+    choose("export", name, dict.fromkeys((*of, *EXPORTERS)))
+    return of.get(name, ("sparse/world", "georef"))
 
-    Raises InputError for an unknown name or camera, a folder that is not empty, a full disk, a world not on the Earth.
+
+def hand_out(run: Run, target: str | Path, name: str, camera: str = "") -> int:
+    """Write what a program takes (a name of `tiegraph export --to`) into a folder, whole or not at all, or to a URL;
+    its number of images, poses, cameras, points, depth maps or (results) files.
+
+    Raises InputError for an unknown camera, a place that is not empty, a full disk, a world not on the Earth;
+    EngineMissing without the library of a form or of a store.
     """
-    choose("export", name, dict.fromkeys(EXPORTERS))
+    url = url_of(target)
+    if url and name == "results":  # as they are
+        names = files_below(run.folder, _RESULTS)
+        send(url, run.folder, names, run.reporter)
+        return len(names)
+    if url:
+        with scratch_folder() as scratch:
+            made = scratch / "made"
+            count, _ = _written(run, made, name, camera)
+            names = sorted(p.relative_to(made).as_posix() for p in made.rglob("*") if p.is_file())
+            send(url, made, names, run.reporter)
+        return count
+    count, opened = _written(run, Path(target), name, camera)
+    if opened:
+        run.reporter.say(f"opened by: {opened.format(folder=target)}")
+    return count
+
+
+def _written(run: Run, target: Path, name: str, camera: str) -> tuple[int, str]:
+    """The number of things in a new folder, and how to open it ({folder} = where it is)."""
     must_be_empty(target)
-    exporter = EXPORTERS[name]
-    if camera and exporter.lens is not None:
-        raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
+    write = {"results": _results, "dense": _workspace, **CLOUDS}.get(name, partial(_program, name=name, camera=camera))
     try:
         with replacing(target.absolute()) as made:
             made.mkdir()
-            survey = _survey(run)
-            if exporter.lens is not None:
-                survey = _with_pictures(run, survey, exporter, made)
-            count = exporter.write(replace(survey, camera=camera), made)
+            return write(run, made)
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
     finally:
         run.close()
-    run.reporter.say(f"opened by: {exporter.opened.format(folder=target)}")
-    return count
 
 
-def hand_out_results(run: Run, target: str | Path) -> int:
-    """Copy the results of a run into a folder or to a URL; their number. Raises InputError as ``hand_out``."""
+def _program(run: Run, made: Path, name: str, camera: str) -> tuple[int, str]:
+    exporter = EXPORTERS[name]
+    if camera and exporter.lens is not None:
+        raise InputError(f"--camera {camera}: only trajectories (--to tum, --to kitti) are of one camera")
+    survey = _survey(run)
+    if exporter.lens is not None:
+        survey = _with_pictures(run, survey, exporter, made)
+    return exporter.write(replace(survey, camera=camera), made), exporter.opened
+
+
+def _results(run: Run, made: Path) -> tuple[int, str]:
     names = files_below(run.folder, _RESULTS)
-    if url := url_of(target):
-        send(url, run.folder, names, run.reporter)
-        return len(names)
-    must_be_empty(Path(target))
-    with replacing(Path(target).absolute()) as temporary:
-        for name in names:
-            _copy(run.folder / name, temporary / name)
-    return len(names)
+    for name in names:
+        _copy(run.folder / name, made / name)
+    return len(names), ""
 
 
-def to_store(url: str, write: Callable[[Path], int], run: Run) -> int:
-    """What ``write`` counts in the folder that it makes, which is then sent to a URL. Raises as ``send``."""
-    with scratch_folder() as scratch:
-        made = scratch / "made"
-        count = write(made)
-        send(url, made, sorted(p.relative_to(made).as_posix() for p in made.rglob("*") if p.is_file()), run.reporter)
-    return count
-
-
-def hand_out_cloud(run: Run, target: Path, name: str) -> int:
-    """Write the cloud into the folder ``target`` in a form of ``CLOUDS``, whole or not at all; how many points it has.
-
-    Raises EngineMissing without the form's library, InputError for a folder that holds something and a full disk.
-    """
-    must_be_empty(target)
-    try:
-        with replacing(target.absolute()) as made:
-            made.mkdir()
-            count, opened = CLOUDS[name](run, made)
-    finally:
-        run.close()
-    run.reporter.say(f"opened by: {opened.format(folder=target)}")
-    return count
+def _workspace(run: Run, made: Path) -> tuple[int, str]:
+    """The depth maps as a dense workspace of COLMAP."""
+    model, load = files.load_model(run.path("sparse", "world")), partial(known_depth, folder=run.folder)
+    return write_workspace(made, model, run.path("images"), load, run.settings.dense), ""
 
 
 def _e57(run: Run, made: Path) -> tuple[int, str]:
-    path, origin = run.path("cloud.laz"), world_origin(run.folder)
-    with reading(path), laspy.open(path) as reader:
+    path, origin = run.path("cloud.laz"), files.world_origin(run.folder)
+    with files.reading(path), laspy.open(path) as reader:
         parts = (las_cloud(p, reader.header, origin) for p in reader.chunk_iterator(_SCAN))
         count = write_e57(parts, made / "cloud.e57")
     _say_crs(run, made)
@@ -144,28 +138,28 @@ def _e57(run: Run, made: Path) -> tuple[int, str]:
 
 
 def _potree(run: Run, made: Path) -> tuple[int, str]:
-    with reading(run.path(CLOUD)), laspy.open(run.path(CLOUD)) as reader:
+    with files.reading(run.path(files.CLOUD)), laspy.open(run.path(files.CLOUD)) as reader:
         count = reader.header.point_count
-    _copy(run.path(CLOUD), made / CLOUD)
+    _copy(run.path(files.CLOUD), made / files.CLOUD)
     _say_crs(run, made)
     return count, "Potree (1.8 or later): Potree.loadPointCloud('{folder}/cloud.copc.laz', 'cloud', ...)"
 
 
 def _say_crs(run: Run, made: Path) -> None:
     """Beside coordinates that are those of the CRS already."""
-    origin = world_origin(run.folder)
-    said = {"crs": None if origin is None else origin.crs, "unit": world_unit(run.folder)}
+    origin = files.world_origin(run.folder)
+    said = {"crs": None if origin is None else origin.crs, "unit": files.world_unit(run.folder)}
     write_atomic(made / OFFSET, json.dumps({**said, "crs_from_local": np.eye(4).tolist()}))
 
 
 def _tiles(run: Run, made: Path) -> tuple[int, str]:
     """The cloud as a tree of tiles, and beside it the mesh, if there is one."""
-    path, origin = run.path(CLOUD), world_origin(run.folder)
-    with reading(path):
+    path, origin = run.path(files.CLOUD), files.world_origin(run.folder)
+    with files.reading(path):
         place = Place.about(copc_middle(path, origin), origin)
 
     def nodes() -> Iterator[Node]:
-        with reading(path):
+        with files.reading(path):
             yield from copc_nodes(path, origin)
 
     count = write_points(nodes(), place, made / "cloud")
@@ -173,11 +167,11 @@ def _tiles(run: Run, made: Path) -> tuple[int, str]:
     if run.path(MESH, "mesh.glb").exists():
         write_mesh_tiles(run, place, made / MESH)
         there.append(made / MESH)
-    files = ", ".join(f"{{folder}}/{folder.name}/{TREE}" for folder in there)
+    trees = ", ".join(f"{{folder}}/{folder.name}/{TREE}" for folder in there)
     lost = (
         "" if origin is not None else " (the world is not on the Earth: the tiles are in its own axes, without a place)"
     )
-    return count, f"CesiumJS, Cesium3DTileset.fromUrl of {files}{lost}"
+    return count, f"CesiumJS, Cesium3DTileset.fromUrl of {trees}{lost}"
 
 
 CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
@@ -187,14 +181,14 @@ CLOUDS = {"e57": _e57, "3dtiles": _tiles, "potree": _potree}
 def _survey(run: Run) -> Survey:
     ties = []
     if run.path("match.npz").exists():
-        pairs, names = pairs_of(run, "match.npz").kept(), checked(run).names
+        pairs, names = files.pairs_of(run, "match.npz").kept(), files.checked(run).names
         ties = [(names[i], names[j], int(n)) for i, j, n in zip(pairs.i, pairs.j, pairs.inliers)]
     return Survey(
-        scene=whole(run),
-        model=load_model(run.path("sparse", "world")),
-        unit=world_unit(run.folder),
-        origin=world_origin(run.folder),
-        error=placement_error(run.folder),
+        scene=files.whole(run),
+        model=files.load_model(run.path("sparse", "world")),
+        unit=files.world_unit(run.folder),
+        origin=files.world_origin(run.folder),
+        error=files.placement_error(run.folder),
         ties=ties,
     )
 
@@ -246,8 +240,8 @@ def _names(camera_of: Mapping[str, int], pinholes: Mapping[int, CameraModel], ex
 
 def _mask(folder: Path, name: str) -> Path:
     """The last mask of an image in the run."""
-    final = mask_path(folder / FINAL, name)
-    return final if final.exists() else mask_path(folder, name)
+    final = files.mask_path(folder / files.FINAL, name)
+    return final if final.exists() else files.mask_path(folder, name)
 
 
 def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
@@ -269,14 +263,14 @@ def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> 
         use = seen.mask
         _write_image(image, seen.image_bgr)
     elif orientation_of(images / picture.source) > 1:
-        _write_image(image, read_image(images / picture.source, cv2.IMREAD_COLOR))
+        _write_image(image, files.read_image(images / picture.source, cv2.IMREAD_COLOR))
     else:
         _copy(images / picture.source, image)
     if picture.mask and use is None and mask.exists():
         _copy(mask, inside(target, picture.mask))
     elif picture.mask:
         whole_image = np.ones((picture.camera.height, picture.camera.width), bool)
-        save_png(inside(target, picture.mask), whole_image if use is None else use)
+        files.save_png(inside(target, picture.mask), whole_image if use is None else use)
     return _write_depth(picture, folder, target, unit) if picture.depth else ""
 
 
@@ -294,7 +288,7 @@ def _write_image(path: Path, bgr: np.ndarray) -> None:
 def _write_depth(picture: _Picture, folder: Path, target: Path, unit: str) -> str:
     path = depth_path(folder, picture.source)
     camera = (picture.pinhole or picture.camera).to_pycolmap()
-    values = in_thousandths(depth_through(camera, load_map(path) if path.exists() else None), unit)
+    values = in_thousandths(depth_through(camera, files.load_map(path) if path.exists() else None), unit)
     if values.dtype == np.uint16:
         name = f"{picture.depth}.png"
         write_atomic(inside(target, name), cv2.imencode(".png", values)[1].tobytes())

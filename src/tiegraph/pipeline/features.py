@@ -18,17 +18,7 @@ from tiegraph.features.sift import extract_image
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.gpu import on_gpu
 from tiegraph.network.sections import LIGHTS, UpLight
-from tiegraph.pipeline.files import (
-    checked,
-    load_as,
-    load_scene,
-    mask_path,
-    pairs_of,
-    read_image,
-    read_mask,
-    save_npz,
-    scanned,
-)
+from tiegraph.pipeline import files
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene import colmapdatabase as database
@@ -41,7 +31,7 @@ from tiegraph.text import some
 
 def preview(run: Run) -> Outcome:
     """Low-resolution features and brightness of every image, under its mask."""
-    scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features
+    scene, settings, tuning = files.scanned(run), run.settings.preview, run.settings.tuning.features
     if run.settings.features.model is not None:
         network(run.settings.features.model)  # one that cannot be used is refused before the work
     run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
@@ -78,12 +68,12 @@ def preview_path(folder: Path, name: str) -> Path:
 
 def read_preview(folder: Path, name: str) -> Preview:
     """The preview of an image. Raises UnreadableArtefact."""
-    return load_as(preview_path(folder, name), Preview.from_npz)
+    return files.load_as(preview_path(folder, name), Preview.from_npz)
 
 
 def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: Tuning) -> None:
-    found = extract_preview(read_image(folder / "images" / name), read_mask(folder, name), settings, tuning)
-    save_npz(preview_path(folder, name), **found.to_npz())
+    found = extract_preview(files.read_image(folder / "images" / name), files.read_mask(folder, name), settings, tuning)
+    files.save_npz(preview_path(folder, name), **found.to_npz())
 
 
 _CHUNK = 2000  # previews, after which the matches are stored: a second to some ten of work
@@ -120,7 +110,7 @@ class Matcher:
         self._chunks, self._asked = 0, 0
         self._before: dict[tuple[int, int], PreviewMatch] = {}
         for path in sorted(self._folder.glob("*.npz")):
-            self._before.update(load_as(path, _from_arrays))
+            self._before.update(files.load_as(path, _from_arrays))
             self._chunks = int(path.stem)
 
     def __call__(self, pairs: np.ndarray) -> list[PreviewMatch]:
@@ -135,7 +125,7 @@ class Matcher:
             part = todo[first : first + _CHUNK]
             found = dict(zip(part, self._run.map(match_item, part, self._run.folder, settings, tuning)))
             self._chunks += 1
-            save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(found))
+            files.save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(found))
             made |= found
         return [made.get(pair) or self._before[pair] for pair in asked]
 
@@ -190,13 +180,15 @@ def _light_of(name: str, folder: Path) -> tuple[float, float]:
     """Mean grey of an image, and the share of an up camera's picture that its mask leaves out (sky)."""
     scene = scene_of(folder)
     up = scene.sensor_of(scene.image_index[name]).role == "up"
-    return preview_of(folder, name).brightness, 1.0 - float(read_mask(folder, name).mean()) if up else float("nan")
+    return preview_of(folder, name).brightness, 1.0 - float(files.read_mask(folder, name).mean()) if up else float(
+        "nan"
+    )
 
 
 @cached_by_file(2, lambda folder: folder / "scene.json")
 def scene_of(folder: Path) -> Scene:
     """The scene of a run folder, as scanned."""
-    return load_scene(folder / "scene.json")
+    return files.load_scene(folder / "scene.json")
 
 
 # Of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
@@ -211,7 +203,7 @@ _SLAB_IMAGES = 16  # images a worker extracts before their features are written:
 
 def features(run: Run) -> Outcome:
     """SIFT of every image under its mask, into COLMAP's database."""
-    scene, path = scanned(run), run.path("database.db")
+    scene, path = files.scanned(run), run.path("database.db")
     if not path.exists():
         claim(path)
         create_database(path, scene.measured())
@@ -233,7 +225,7 @@ def _features_item(
     item: tuple[int, str], folder: Path, settings: FeaturesSettings, tuning: Tuning
 ) -> database.Features:
     index, name = item
-    return index, *extract_image(folder / "images" / name, mask_path(folder, name), settings, tuning)
+    return index, *extract_image(folder / "images" / name, files.mask_path(folder, name), settings, tuning)
 
 
 def forget_matches(folder: Path) -> None:
@@ -248,15 +240,15 @@ def match(run: Run) -> Outcome:
     def progress(done: int, total: int) -> None:
         run.reporter.total(total, done)
 
-    scene = checked(run)
-    asked = pairs_of(run, "pairs.npz")
+    scene = files.checked(run)
+    asked = files.pairs_of(run, "pairs.npz")
     side = Side(run.workers, run.map_untold) if run.distributed else Side(min(run.workers, cores()))
     rules = Rules(run.settings.match, run.settings.tuning.features.verification)
     try:
         pairs, report = match_pairs(run.path("database.db"), scene, asked, rules, run.log, progress, side)
     except ReconstructionError as error:
         raise with_contrast(error, run, scene) from None
-    save_npz(run.path("match.npz"), **pairs.to_npz())
+    files.save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
     lonely = (
         (f"{len(alone)} images have no verified pair: {some((scene.names[k] for k in alone), 5)}",)

@@ -1,5 +1,5 @@
-"""Glue of georef: the model into the world, with all measurements there; and the predicted accuracy of a
-run."""
+"""Glue of the engine ``sfm``: the verified pairs become models (sparse), the models are placed in the world with all
+measurements there (georef); and the predicted accuracy of a run."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,42 +8,121 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.child import run_in_child
-from tiegraph.errors import ChildDied, InputError, UnreadableArtefact
+from tiegraph.errors import ChildDied, InputError, ReconstructionError, UnreadableArtefact
 from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
+from tiegraph.geometry import transforms
 from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, load_model, load_npz, placement_error, whole
+from tiegraph.pipeline import files
+from tiegraph.pipeline.features import dim_images, with_contrast
 from tiegraph.pipeline.inputs import control_file, orientations, target_marks
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json
+from tiegraph.scan.priors.startmodel import read_start
+from tiegraph.scan.priors.trajectory import images_by_name
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim, remove
-from tiegraph.scene.colmapmodel import model_centres
+from tiegraph.scene.colmapmodel import image_poses, model_centres, tracks
 from tiegraph.scene.composed import carries, with_hanging
 from tiegraph.scene.control import locate, locate_bars
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.gnss.fixes import moved_within, on_clock_of, step_of
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
+from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.shape import SHAPE, Shape
+from tiegraph.sfm.start import check_start, start_told
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.georeferencing import ConstantParameters, GeorefRequest, georeference_folders
 from tiegraph.sfm.world.oneworld import OneWorld
 
 
+def sparse(run: Run) -> Outcome:
+    """The models, with the rig, by COLMAP's mappers."""
+
+    def progress(registered: int, total: int) -> None:
+        run.reporter.total(total, registered)
+
+    scene, apart = files.checked(run), ()
+    if run.settings.network.sections == "split":  # pairs between sections, which are mapped separately
+        pairs, of_image = files.pairs_of(run, "match.npz"), scene.section[scene.frame]
+        across = of_image[pairs.i] != of_image[pairs.j]
+        apart = tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
+    source = Source(
+        run.path("database.db"),
+        run.path("images"),
+        apart=apart,
+        preview=files.trusted_poses(run.folder),
+        on_progress=progress,
+    )
+    try:
+        made = reconstruct(
+            source,
+            run.path("sparse"),
+            scene.measured(),
+            run.settings.sparse,
+            run.settings.tuning.sfm,
+            run.settings.tuning.scene,
+            run.log,
+        )
+    except ReconstructionError as error:
+        raise with_contrast(error, run, scene) from None
+    counts = dict(made.counts)
+    if made.shape is not None:
+        files.save_npz(run.path("sparse", SHAPE), **vars(made.shape))
+    if made.sigma is not None:
+        largest = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
+        counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
+        counts["position_sigma_largest"] = largest
+        if made.sigma.scale is not None:
+            counts["scale_sigma"] = made.sigma.scale
+    said = made.remarks
+    started = _against_start(run)
+    counts |= started.counts
+    notes, contradictions = (*said.notes, *started.notes), (*said.contradictions, *started.contradictions)
+    dim = dim_images(run.folder, [name for name, _ in said.dropped], run.settings.tuning.features)
+    dropped = tuple(
+        (
+            name,
+            f"{why}; it shows {dim[name]:.1f} grey levels of contrast: more light, or nearer" if name in dim else why,
+        )
+        for name, why in said.dropped
+    )
+    return Outcome(counts, dropped=dropped, notes=notes, tables=made.tables, contradictions=contradictions)
+
+
+def _against_start(run: Run) -> Outcome:
+    if run.inputs.start is None:
+        return Outcome({})
+    scene, start = files.load_scene(run.path("scene.json")), read_start(run.inputs.start)
+    model, tuning = files.load_model(run.path("sparse", "0")), run.settings.tuning.sfm.start_check
+    sources = [scene.source_name(k) for k in range(len(scene))]
+    names = list(start.poses)
+    given = np.full((len(scene), 4, 4), np.nan)
+    for k, row in images_by_name(names, start.path, sources).items():
+        given[k] = start.poses[names[row]]
+    made = transforms.invert(image_poses(model, scene))
+    xyz, image, point = tracks(model, scene)
+    reach = float(np.median(np.linalg.norm(xyz[point] - made[image, :3, 3], axis=1)))
+    found = check_start(given, made, reach, tuning)
+    text, contradicts = start_told(found, scene, tuning)
+    counts = {"start_images": int(found.both.sum()), "start_disagrees": int(found.bad.sum())}
+    return Outcome(counts, notes=() if contradicts else (text,), contradictions=(text,) if contradicts else ())
+
+
 def georef(run: Run) -> Outcome:
     """The largest model into the world, and the others to it."""
-    scene = checked(run).measured()
+    scene = files.checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
     measured, said, unfit = _measured_in_images(run, scene)
     given = replace(
         measured,
         rows=_rows(run, scene),
-        shape=Shape(**load_npz(path)) if (path := run.path("sparse", SHAPE)).exists() else None,
+        shape=Shape(**files.load_npz(path)) if (path := run.path("sparse", SHAPE)).exists() else None,
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
         firm_frames=sigma.get("frames", float("inf")) - sigma.get("on_few_points", 0),
     )
@@ -93,14 +172,14 @@ def _hang(run: Run, folder: Path, scale_source: str) -> tuple[int, list[str]]:
     """Add the images with poses by their rig to the model in a folder; how many have a pose now, and notes."""
     if not run.path("whole.json").exists():
         return 0, []
-    survey = whole(run)
+    survey = files.whole(run)
     count = int((~carries(survey)).sum())
     if scale_source == "none":
         return 0, [
             f"{count} images that depend on their rig have no pose in the model: its scale is unknown (positions, "
             "control points, scale bars, a second wide camera); `tiegraph shots --posed` takes them from the shots"
         ]
-    model = load_model(folder)
+    model = files.load_model(folder)
     hung = with_hanging(model, survey)
     hung.write(folder)
     more = hung.num_reg_images() - model.num_reg_images()
@@ -124,7 +203,7 @@ def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str
     file = control_file(run)
     if file is None:
         return Measurements(), (), ()
-    model = load_model(run.path("sparse", "0")) if file.targets else None
+    model = files.load_model(run.path("sparse", "0")) if file.targets else None
     try:
         seen = target_marks(run, scene, file, model)
         turned = orientations(run, scene, file)
@@ -186,7 +265,7 @@ _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "traj
 
 def stated(run: Run, points: Mapping[str, float]) -> Stated:
     """All of it; ``points``: counts of the sigmas of points in the cloud's receipt."""
-    world = load_json(run.path("world.json"))
+    world = files.load_json(run.path("world.json"))
     predicted = _predicted(run, world, points)
     return Stated(predicted=predicted, hold=_hold(run, world), world=world)
 
@@ -198,7 +277,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
     if not sigma and world["scale_source"] != "none":  # not placed: only the rig determines its size
         rows = world.get("evidence", {}).get("rows", [])
         scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
-    model, error = load_model(run.path("sparse", "world")), placement_error(run.folder)
+    model, error = files.load_model(run.path("sparse", "world")), files.placement_error(run.folder)
     centres = model_centres(model)
     return Predicted(
         inside_m=float(np.hypot(half, most) / np.sqrt(2)),
@@ -213,7 +292,7 @@ def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
 
 
 def _hold(run: Run, world: dict) -> Hold:
-    scene = checked(run)
+    scene = files.checked(run)
     if not world["placed"]:
         return Hold(frames=scene.frames)
     rows = [row["frame"] for row in world["frames"] if row["inlier"]]
@@ -221,7 +300,9 @@ def _hold(run: Run, world: dict) -> Hold:
     if scene.prior == "gnss" and np.isfinite(stated_m).any():
         source += " of RTK quality" if np.nanmedian(stated_m) <= _CARRIER_M else ""
     without = np.setdiff1d(np.arange(scene.frames), rows)
-    bridges = [row["number"] for row in load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"]
+    bridges = [
+        row["number"] for row in files.load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"
+    ]
     under = int(np.isin(scene.section[without], bridges).sum())
     found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
     points = {"control": found.count("gcp"), "checks": found.count("check")}

@@ -31,7 +31,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import Receipts, save_json
 from tiegraph.scene.atomic import scratch_folder
-from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.cloudchunks import Points, PointSource, points_of
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.posefile import write_tum
@@ -42,6 +42,8 @@ from tiegraph.text import command, finite
 
 TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)
+_HAND_EYE = ("rig_from_lidar", "clock_s", "scale", "place_sigma_m", "turn_sigma_deg", "clock_sigma_s", "scale_sigma",
+             "left_open")  # fmt: skip
 _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
     "Mask processing": ("masks", "refine"),
     "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef"),
@@ -282,17 +284,10 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
         notes.append("the run has no cloud.laz: trajectories only were compared")
     return {
         "hand_eye": {
-            "rig_from_lidar": found.rig_from_lidar,
-            "clock_s": found.clock_s,
-            "scale": found.scale,
-            "place_sigma_m": found.place_sigma_m,
-            "turn_sigma_deg": found.turn_sigma_deg,
-            "clock_sigma_s": found.clock_sigma_s,
-            "scale_sigma": found.scale_sigma,
+            **{name: getattr(found, name) for name in _HAND_EYE},
             "frames": int(found.fit.frames.sum()),
             "turn_rms_deg": found.fit.turn_rms_deg,
             "step_rms_m": found.fit.step_rms_m,
-            "left_open": found.left_open,
             "tied_points": 0 if found.tie is None else found.tie.points,
         },
         "lidar_from_run": world.matrix,
@@ -366,7 +361,7 @@ class _Judged:
 
 def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras, tuning: EvaluateTuning) -> CloudJudgement:
     """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
-    own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
+    own = points_of(xyz, "the run's cloud")
     truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
     with scratch_folder() as scratch:
         return judge_cloud(own, truth, scratch, Question(cameras=cameras), tuning)

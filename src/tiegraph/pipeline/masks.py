@@ -1,7 +1,6 @@
 """Glue of masks and refine: the usable pixels of the images for features, and the same corrected by the model."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,35 +11,14 @@ from scipy.spatial import cKDTree
 from tiegraph import papers
 from tiegraph.errors import choose
 from tiegraph.geometry.gravity import up_vector
-from tiegraph.masks import EGO, NAMES, USE, WATER
+from tiegraph.masks import EGO, NAMES, USE, WATER, waterline
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.platform import flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import places, without_points
 from tiegraph.masks.sources import SOURCES, Camera, MaskSource, explain_source
 from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.waterline import (
-    Lines,
-    View,
-    camera_rays,
-    final_classes,
-    find_water,
-    first_line,
-    lines_of,
-)
-from tiegraph.pipeline.files import (
-    FINAL,
-    checked,
-    class_shares,
-    classes_path,
-    load_model,
-    mask_path,
-    read_image,
-    read_mask,
-    save_png,
-    scanned,
-    world_unit,
-)
+from tiegraph.pipeline import files
 from tiegraph.plugins import chosen
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -54,21 +32,22 @@ from tiegraph.text import csv_text
 
 def masks(run: Run) -> Outcome:
     """One mask an image: learnt from the whole sequence, then applied image by image."""
-    scene, settings, tuning = scanned(run), run.settings.masks, run.settings.tuning.masks
+    scene, settings, tuning = files.scanned(run), run.settings.masks, run.settings.tuning.masks
     source, why = explain_source(scene, settings, tuning)
     run.path("classes").mkdir(parents=True, exist_ok=True)
     prepared: dict[int, Any] = {}
-    if any(not mask_path(run.folder, n).exists() for n in scene.names):
+    if any(not files.mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, run.map)
-    keyed = {n: (int(scene.sensor_key[k]), scene.mask_name(k)) for k, n in enumerate(scene.names)}
-    seen = {k: lit(s, tuning.fisheye_half_deg) for k, s in enumerate(scene.all_sensors)}
-    how = _How(folder=run.folder, source=source, settings=settings, tuning=tuning, lit=seen)
-    run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), how, prepared, keyed)
+    circles = [lit(s, tuning.fisheye_half_deg) for s in scene.all_sensors]
+    keys = enumerate(scene.sensor_key.tolist())
+    known = {scene.names[k]: (prepared.get(key), circles[key], scene.mask_name(k)) for k, key in keys}
+    of = run.folder, source, settings, tuning, known
+    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), *of)
     shares = np.array(run.map(_shares, scene.names, run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
     for name in left_out:
-        save_png(mask_path(run.folder, name), np.zeros_like(read_mask(run.folder, name)))
+        files.save_png(files.mask_path(run.folder, name), np.zeros_like(files.read_mask(run.folder, name)))
     rows = (
         [name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")]
         for name, own in zip(scene.names, shares)
@@ -104,7 +83,7 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path, tuning: Tuni
     prepared = made.prepare(_cameras(scene, images), settings, tuning, map)
     for k, name in enumerate(scene.names):
         keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, tuning, scene.mask_name(k))
-        save_png(target / f"{name}.png", keep)
+        files.save_png(target / f"{name}.png", keep)
 
 
 _NEED_A_FILE = ("folder", "model")
@@ -127,37 +106,36 @@ def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
     return found
 
 
-@dataclass(frozen=True)
-class _How:
-    folder: Path
-    source: str
-    settings: MasksSettings
-    tuning: Tuning
-    lit: Mapping[int, np.ndarray | None]  # of the cameras: (H, W) bool, image circle of their lenses
-
-
-def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:
-    key, found = keyed[name]
-    made, image, lit_there = _source(how.source), how.folder / "images" / name, how.lit[key]
+def _mask_item(
+    name: str,
+    folder: Path,
+    source: str,
+    settings: MasksSettings,
+    tuning: Tuning,
+    known: dict[str, tuple[Any, np.ndarray | None, str]],
+) -> None:
+    """Makes the mask of an image. ``known``: by name what was prepared for its camera, the image circle of its lens
+    (H, W) bool, and how its mask is named in a folder of the user's."""
+    (prepared, lit_there, found), image = known[name], folder / "images" / name
     whole = opaque(image)
     if whole is not None:
         lit_there = whole if lit_there is None else whole & lit_there
-    use = made.look(image, prepared[key], how.settings, how.tuning, found)
+    use = _source(source).look(image, prepared, settings, tuning, found)
     if use.dtype != bool:
         classes = use if lit_there is None else np.where(full_size(lit_there, use.shape), use, EGO).astype(np.uint8)
-        save_png(classes_path(how.folder, name), classes)
+        files.save_png(files.classes_path(folder, name), classes)
         use = classes == USE
     keep = full_size(use, image_size(image))
     if lit_there is not None:
         keep = keep & lit_there
-    save_png(mask_path(how.folder, name), keep)
+    files.save_png(files.mask_path(folder, name), keep)
 
 
 def _shares(name: str, folder: Path) -> np.ndarray:
     """Shares of the classes; of a source without classes only the used one is known, the others are NaN."""
-    if not classes_path(folder, name).exists():
-        return np.array([read_mask(folder, name).mean(), *[np.nan] * (len(NAMES) - 1)])
-    return class_shares(name, folder)
+    if not files.classes_path(folder, name).exists():
+        return np.array([files.read_mask(folder, name).mean(), *[np.nan] * (len(NAMES) - 1)])
+    return files.class_shares(name, folder)
 
 
 def _flagged(run: Run, scene: Scene) -> dict[str, str]:
@@ -173,7 +151,7 @@ def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> tupl
     name, before = pair
     images = folder / "images"
     other = None if before is None else images / before
-    return image_quality(images / name, other, read_mask(folder, name), tuning)
+    return image_quality(images / name, other, files.read_mask(folder, name), tuning)
 
 
 def _by_camera(scene: Scene, key: np.ndarray, shares: Mapping[str, np.ndarray]) -> dict:
@@ -188,12 +166,12 @@ def _by_camera(scene: Scene, key: np.ndarray, shares: Mapping[str, np.ndarray]) 
 
 def refine(run: Run) -> Outcome:
     """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
-    scene = checked(run)
-    known: dict[str, tuple[np.ndarray, Lines | None]] = {}
+    scene = files.checked(run)
+    known: dict[str, tuple[np.ndarray, waterline.Lines | None]] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, by the setting",)
     if run.settings.refine.geometry == "auto":
         known, notes = _known(run, scene)
-    todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
+    todo = [(n, known.get(n)) for n in scene.names if not files.mask_path(run.path(files.FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
     run.map(_final_item, todo, run.folder, run.settings.tuning.masks)
     used = np.array(run.map(_used, scene.names, run.folder))  # (N, 2): before, now
@@ -202,12 +180,12 @@ def refine(run: Run) -> Outcome:
     return Outcome(counts, notes=notes, tables=_tables(run, scene))
 
 
-def _known(run: Run, scene: Scene) -> tuple[dict[str, tuple[np.ndarray, Lines | None]], tuple[str, ...]]:
+def _known(run: Run, scene: Scene) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], tuple[str, ...]]:
     """Data of the model for each registered image: points (K, 2) f4 in it, shares of width and height, also hidden
     ones; its waterline and horizon, None if no ring of cameras defines the vertical. And notes."""
-    if not any(classes_path(run.folder, n).exists() for n in scene.names):
+    if not any(files.classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
-    model = load_model(run.path("sparse", "world"))
+    model = files.load_model(run.path("sparse", "world"))
     least = run.settings.tuning.masks.refine.least_track
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
@@ -221,7 +199,7 @@ def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[
     tree = cKDTree(points) if len(points) > most else None
     seen = {}
     for image in model.images.values():
-        if not image.has_pose or not classes_path(run.folder, image.name).exists():
+        if not image.has_pose or not files.classes_path(run.folder, image.name).exists():
             continue
         near = points if tree is None else points[tree.query(image.projection_center(), most)[1]]
         seen[image.name] = places(image, model.cameras[image.camera_id], near, tuning.sky_points)
@@ -230,7 +208,7 @@ def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[
 
 def _lines(
     run: Run, scene: Scene, model: pycolmap.Reconstruction, points: np.ndarray
-) -> tuple[dict[str, Lines], tuple[str, ...]]:
+) -> tuple[dict[str, waterline.Lines], tuple[str, ...]]:
     """Waterline and horizon of each registered image by the model, with notes."""
     poses = {i.name: i.cam_from_world() for i in model.images.values() if i.has_pose}
     matrices = np.full((len(scene), 4, 4), np.nan)
@@ -246,63 +224,67 @@ def _lines(
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
     count = min(240, len(level))  # views whose waterlines measure the water's height
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
-    first = run.map(read_image, [classes_path(run.folder, n) for n in chosen])
-    water = find_water([views[n] for n in chosen], [first_line(c, tuning) for c in first], points, up.direction, tuning)
-    lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
+    first = run.map(files.read_image, [files.classes_path(run.folder, n) for n in chosen])
+    water = waterline.find_water(
+        [views[n] for n in chosen], [waterline.first_line(c, tuning) for c in first], points, up.direction, tuning
+    )
+    lines = {name: waterline.lines_of(view, up.direction, water) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
-    unit = world_unit(run.folder)
+    unit = files.world_unit(run.folder)
     return lines, (
         f"water {water.depth:.3g} {unit} below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
         "out to the banks of the model; no sky below the horizon",
     )
 
 
-def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, View]:
+def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, waterline.View]:
     grids: dict[int, np.ndarray] = {}
     ids = {i.name: i.camera_id for i in model.images.values()}
     views = {}
     for k in np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2))):
         name = scene.names[k]
-        if not classes_path(run.folder, name).exists():
+        if not files.classes_path(run.folder, name).exists():
             continue
         camera = ids[name]
         if camera not in grids:
-            shape = read_image(classes_path(run.folder, name)).shape[:2]
-            grids[camera] = camera_rays(model.cameras[camera], shape, run.settings.tuning.masks.waterline)
+            shape = files.read_image(files.classes_path(run.folder, name)).shape[:2]
+            grids[camera] = waterline.camera_rays(model.cameras[camera], shape, run.settings.tuning.masks.waterline)
         rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
-        views[name] = View(grids[camera] @ rotation, -rotation.T @ shift)
+        views[name] = waterline.View(grids[camera] @ rotation, -rotation.T @ shift)
     return views
 
 
-def _final_item(item: tuple[str, tuple[np.ndarray, Lines | None] | None], folder: Path, tuning: Tuning) -> None:
+def _final_item(
+    item: tuple[str, tuple[np.ndarray, waterline.Lines | None] | None], folder: Path, tuning: Tuning
+) -> None:
     name, known = item
-    final = folder / FINAL
-    classes, mask = classes_path(folder, name), mask_path(folder, name)
+    final = folder / files.FINAL
+    classes, mask = files.classes_path(folder, name), files.mask_path(folder, name)
     if known is not None and classes.exists():
         points, lines = known
-        first, use = read_image(classes), read_mask(folder, name)
-        found = first if lines is None else final_classes(first, lines, tuning.waterline)
+        first, use = files.read_image(classes), files.read_mask(folder, name)
+        found = first if lines is None else waterline.final_classes(first, lines, tuning.waterline)
         found = without_points(found, points, tuning.sky_points)
         if use.any() and (found != first).any():
-            save_png(classes_path(final, name), found)
+            files.save_png(files.classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]
-            save_png(mask_path(final, name), keep)
+            files.save_png(files.mask_path(final, name), keep)
             return
     if classes.exists():
-        same_file(classes, classes_path(final, name))
-    same_file(mask, mask_path(final, name))
+        same_file(classes, files.classes_path(final, name))
+    same_file(mask, files.mask_path(final, name))
 
 
 def _used(name: str, folder: Path) -> tuple[float, float]:
-    return float(read_mask(folder, name).mean()), float(read_mask(folder / FINAL, name).mean())
+    return float(files.read_mask(folder, name).mean()), float(files.read_mask(folder / files.FINAL, name).mean())
 
 
 def _tables(run: Run, scene: Scene) -> dict[str, dict]:
-    names = [n for n in scene.names if classes_path(run.path(FINAL), n).exists()]
+    names = [n for n in scene.names if files.classes_path(run.path(files.FINAL), n).exists()]
     if not names:
         return {}
-    before, now = (np.array(run.map(class_shares, names, f)) for f in (run.folder, run.path(FINAL)))
+    before, now = (np.array(run.map(files.class_shares, names, f)) for f in (run.folder, run.path(files.FINAL)))
     key = scene.sensor_key[[scene.image_index[n] for n in names]]
     when = {"before": before, "now": now}
     shares = {f"{NAMES[c]} {name}": found[:, c] for c in (USE, WATER) for name, found in when.items()}

@@ -13,25 +13,11 @@ import rasterio
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, world_from_geodetic
 from tiegraph.pipeline.files import load_json, placement_error, reading, world_origin, world_unit
-from tiegraph.pipeline.terrain import FOLDER
+from tiegraph.pipeline.products import FOLDER
+from tiegraph.products import volumes
 from tiegraph.products.raster import read_window
 from tiegraph.products.surface import MAP, Window
 from tiegraph.products.tuning import VolumeTuning
-from tiegraph.products.volumes import (
-    Base,
-    Known,
-    Patch,
-    Profile,
-    along,
-    area_of,
-    crossing,
-    epoch,
-    level,
-    lowest,
-    plane,
-    sampled,
-    volumes,
-)
 from tiegraph.project.folder import check_format
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.vectors import Shapes, read_shapes
@@ -159,21 +145,19 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
     return shapes.parts
 
 
-def make_profile(folder: Path, line: Sequence[str], out: Path) -> Profile:
+def make_profile(folder: Path, line: Sequence[str], out: Path) -> volumes.Profile:
     """Write heights along a line of a map as CSV and SVG. Raises InputError without a map, for an unfit line or CRS."""
-    from tiegraph.products.volumes import chart  # draws
-
     map_ = open_map(folder)
     vertices = line_of(line, map_)
-    distance, places = along(vertices, map_.pixel)
+    distance, places = volumes.along(vertices, map_.pixel)
     if not map_.inside(places).any():
         raise InputError(f"the line lies outside: {map_.extent()}")
     at = map_.pixels(places)
     names = {"dsm": "dsm", "dsm_sigma": "sigma", "dtm": "dtm", "dtm_sigma": "dtm_sigma"}
-    values = {column: sampled(partial(map_.read, name), at) for column, name in names.items()}
-    profile = Profile(distance, places, values, unit=map_.unit)
+    values = {column: volumes.sampled(partial(map_.read, name), at) for column, name in names.items()}
+    profile = volumes.Profile(distance, places, values, unit=map_.unit)
     write_atomic(out, csv_text(*profile.table))
-    write_atomic(out.with_suffix(".svg"), chart(profile))
+    write_atomic(out.with_suffix(".svg"), volumes.chart(profile))
     return profile
 
 
@@ -213,7 +197,7 @@ def _other(folder: Path, map_: MapFiles) -> MapFiles:
 
 
 def _check(polygon: np.ndarray, path: Path, map_: MapFiles) -> None:
-    sides = crossing(polygon)
+    sides = volumes.crossing(polygon)
     if sides is not None:
         a, b = (f"{polygon[k][0]:.2f}, {polygon[k][1]:.2f}" for k in sides)
         raise InputError(f"{path}: the polygon crosses itself: the sides that begin at ({a}) and ({b}) meet")
@@ -233,14 +217,14 @@ def _measured(
     ground = _ground(map_, window, step)
     under, height = _other_surface(patch, polygon, maps, surface), _height(base)
     if under is None and height is not None:
-        under = level(patch, height - map_.shift[2], f"level at {height:.3f}")
+        under = volumes.level(patch, height - map_.shift[2], f"level at {height:.3f}")
     elif under is None:
-        under = (plane if base == "plane" else lowest)(ground, polygon, known, tuning)
+        under = (volumes.plane if base == "plane" else volumes.lowest)(ground, polygon, known, tuning)
     area = patch.share(polygon)
     seen = float(area[np.isfinite(patch.w - under.w)].sum() / area.sum())
     if seen < _SEEN[0]:
         raise InputError(f"heights are known on {seen:.0%} of the polygon: draw it where the map shows ground")
-    found = volumes(patch, under, polygon, known, tuning)
+    found = volumes.volumes(patch, under, polygon, known, tuning)
     notes = []
     if seen < _SEEN[1]:
         notes.append(f"heights are known on {seen:.0%} of the polygon, and volumes are of that part")
@@ -249,7 +233,7 @@ def _measured(
     if step > 1:
         notes.append(f"measured in pixels of {patch.pixel:g} {map_.unit}, because the polygon is large")
     return finite({
-        "unit": map_.unit, "area": area_of(polygon), "seen": seen, "surface": surface, "base": under.said,
+        "unit": map_.unit, "area": volumes.area_of(polygon), "seen": seen, "surface": surface, "base": under.said,
         **{k: {"value": v.value, "sigma": v.sigma, "parts": v.parts} for k, v in found.items()}, "notes": notes,
     })  # fmt: skip
 
@@ -268,17 +252,17 @@ def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[
     return Window(top, left, rows=rows, columns=columns), step
 
 
-def _patch(map_: MapFiles, name: str, window: Window, step: int) -> Patch:
+def _patch(map_: MapFiles, name: str, window: Window, step: int) -> volumes.Patch:
     w, spread = (map_.read(n, window, step).astype(float) for n in (name, _sigma(name)))
     corner = map_.corner + np.array([window.column, -window.row]) * map_.pixel - map_.shift[:2]
-    return Patch(w - map_.shift[2], spread, corner=corner, pixel=map_.pixel * step)
+    return volumes.Patch(w - map_.shift[2], spread, corner=corner, pixel=map_.pixel * step)
 
 
 def _sigma(name: str) -> str:
     return "sigma" if name == "dsm" else f"{name}_sigma"
 
 
-def _ground(map_: MapFiles, window: Window, step: int) -> Patch:
+def _ground(map_: MapFiles, window: Window, step: int) -> volumes.Patch:
     """The surface where it is the terrain, or everywhere if there is no terrain model."""
     surface = _patch(map_, "dsm", window, step)
     if not map_.path("dtm").exists():
@@ -288,29 +272,31 @@ def _ground(map_: MapFiles, window: Window, step: int) -> Patch:
     return replace(surface, w=np.where(seen, surface.w, np.nan))
 
 
-def _known(map_: MapFiles, polygon: np.ndarray) -> Known:
+def _known(map_: MapFiles, polygon: np.ndarray) -> volumes.Known:
     """Of three axes a height is one."""
     world = load_json(map_.folder / "world.json")
     between = np.array([[0.0, 0.0], *(world.get("between_frames") or [])])
     over = np.interp(np.linalg.norm(np.ptp(polygon, axis=0)), *between.T) / np.sqrt(3)
     whole = (world.get("model_sigma") or {}).get("median", 0.0) / np.sqrt(3)
-    return Known(placement_error(map_.folder), over_polygon=float(over), whole=float(whole))
+    return volumes.Known(placement_error(map_.folder), over_polygon=float(over), whole=float(whole))
 
 
 def _other_surface(
-    patch: Patch, polygon: np.ndarray, maps: tuple[MapFiles, MapFiles | None], surface: str
-) -> Base | None:
+    patch: volumes.Patch, polygon: np.ndarray, maps: tuple[MapFiles, MapFiles | None], surface: str
+) -> volumes.Base | None:
     map_, other = maps
     if other is None:
         return None
     east, north = patch.places()
     at = other.pixels(np.stack([east.ravel(), north.ravel()], axis=-1) + map_.shift[:2])
-    w, sigma = (sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in (surface, _sigma(surface)))
+    w, sigma = (
+        volumes.sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in (surface, _sigma(surface))
+    )
     theirs = replace(patch, w=w - map_.shift[2], sigma=sigma)
     known = _known(other, polygon)
     if known.placed is not None:  # in our world
         known = replace(known, placed=replace(known.placed, middle=known.placed.middle + other.shift - map_.shift))
-    return epoch(theirs, known, f"{surface} of {other.folder}")
+    return volumes.epoch(theirs, known, f"{surface} of {other.folder}")
 
 
 def said(found: dict[str, Any]) -> str:

@@ -13,33 +13,11 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.export.survey import offset_of
 from tiegraph.export.tiles3d import Place, Tile, write_tree
-from tiegraph.geometry.stereo import Pinhole
 from tiegraph.limits import need_room
-from tiegraph.mesh.files import Textured, glb, mtl, obj
-from tiegraph.mesh.levels import Finished, branches, coarse, fine
+from tiegraph.mesh import files, surface, texture, views
 from tiegraph.mesh.settings import MeshSettings
-from tiegraph.mesh.surface import MOST_POINTS, Mesh, mesh_of, ply_of, trimmed_border, without_strays
-from tiegraph.mesh.texture import (
-    JPEG,
-    PAD,
-    Layout,
-    Nodes,
-    bare_blocks,
-    cut_out,
-    edge_colours,
-    face_colours,
-    laid_out,
-    levelled,
-    levelled_chart,
-    nodes_of,
-    own_faces,
-    own_sides,
-    places,
-    vertex_mean,
-)
 from tiegraph.mesh.tuning import Tuning
-from tiegraph.mesh.views import UNSEEN, Seen, chosen, seen_by, without_bubbles
-from tiegraph.pipeline.dense import Pictures, accuracy_said, depth_path, plans_of, read_depth
+from tiegraph.pipeline.dense import Pictures, accuracy_said, known_depth
 from tiegraph.pipeline.files import CLOUD, load_as, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -47,18 +25,15 @@ from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.copc import copc_sample
 
 FOLDER, SCRATCH = "mesh", ".work"
-_READ = 3 * MOST_POINTS  # points that are read of the cloud, and then thinned
+_READ = 3 * surface.MOST_POINTS  # points that are read of the cloud, and then thinned
 _BYTES = 200  # of a point in the files of COLMAP's surface
 
 
 def mesh(run: Run) -> Outcome:
     """The mesh of the cloud with its textures, as GLB, OBJ and PLY. What is finished of it stays after an
     interruption: the surface, what each image sees and gives, each texture."""
-    plans = plans_of(run)
-    pictures = Pictures.of(run, plans)
-    views = pictures.cameras()
-    work = _Work(run.folder, pictures, views, settings=run.settings.mesh, tuning=run.settings.tuning.mesh)
-    images = list(range(len(views)))
+    work = _Work(run.folder, Pictures.of(run), settings=run.settings.mesh, tuning=run.settings.tuning.mesh)
+    images = list(range(len(work.pictures.views)))
     run.reporter.total(2 * len(images) + 3)
     _once(run, work.path("surface"), partial(_make_surface, run, work))
     _each(run, images, partial(work.path, "view"), work.make_view)
@@ -68,7 +43,7 @@ def mesh(run: Run) -> Outcome:
     layout = work.layout()
     pages = list(range(len(layout.pages)))
     run.reporter.total(2 * len(images) + 3 + len(pages), 2 * len(images) + 3)
-    _each(run, pages, work.texture, work.make_texture)
+    _each(run, pages, work.page_path, work.make_texture)
     return _written(run, work, layout)
 
 
@@ -91,10 +66,10 @@ def _make_surface(run: Run, work: "_Work") -> None:
         raise ReconstructionError(f"{run.path(CLOUD)} has no point: look at the depth maps in the report")
     spacing = run.receipts.read("cloud")["counts"]["voxel"]
     run.path(FOLDER, SCRATCH).mkdir(parents=True, exist_ok=True)
-    need_room(run.path(FOLDER, SCRATCH, "surface"), _BYTES * min(len(cloud), MOST_POINTS))
+    need_room(run.path(FOLDER, SCRATCH, "surface"), _BYTES * min(len(cloud), surface.MOST_POINTS))
     call = partial(run_in_child, log=run.log, task="COLMAP's surface")
     with scratch_folder(run.path(FOLDER, SCRATCH)) as scratch:
-        found = mesh_of(cloud, spacing, work.settings, work.tuning.surface, scratch, call)
+        found = surface.mesh_of(cloud, spacing, work.settings, work.tuning.surface, scratch, call)
     save_npz(work.path("surface"), **vars(found))
 
 
@@ -104,48 +79,46 @@ class _Work:
 
     folder: Path
     pictures: Pictures
-    views: list[Pinhole]
     settings: MeshSettings
     tuning: Tuning
 
     def path(self, kind: str, k: int | None = None) -> Path:
         return self.folder / FOLDER / SCRATCH / (f"{kind}.npz" if k is None else f"{kind}_{k}.npz")
 
-    def texture(self, k: int) -> Path:
+    def page_path(self, k: int) -> Path:
         return self.folder / FOLDER / f"texture{k}.jpg"
 
-    def layout(self) -> Layout:
-        return load_as(self.path("layout"), Layout.from_npz)
+    def layout(self) -> texture.Layout:
+        return load_as(self.path("layout"), texture.Layout.from_npz)
 
-    def nodes(self) -> Nodes:
-        return load_as(self.path("nodes"), Nodes.from_npz)
+    def nodes(self) -> texture.Nodes:
+        return load_as(self.path("nodes"), texture.Nodes.from_npz)
 
-    def mesh(self, kind: str = "mesh") -> Mesh:
-        return Mesh(**load_npz(self.path(kind)))
+    def mesh(self, kind: str = "mesh") -> surface.Mesh:
+        return surface.Mesh(**load_npz(self.path(kind)))
 
     def make_view(self, k: int) -> None:
-        name = self.views[k].name
-        own = read_depth(name, self.folder) if depth_path(self.folder, name).exists() else None
+        view = self.pictures.views[k]
+        own = known_depth(view.name, self.folder)
         mask = self.pictures.picture(k)[1]
-        save_npz(
-            self.path("view", k), **seen_by(self.views[k], self.mesh("surface"), mask, own, self.tuning.views).to_npz()
-        )
+        found = views.seen_by(view, self.mesh("surface"), mask, own, self.tuning.views)
+        save_npz(self.path("view", k), **found.to_npz())
 
     def make_layout(self) -> None:
         """Which image gives each face its colour, without the faces that none saw; where they are on the textures."""
         whole = self.mesh("surface")
-        seen = [load_as(self.path("view", k), Seen.from_npz) for k in range(len(self.views))]
-        label = chosen(seen, whole, self.tuning.views)
-        if (label == UNSEEN).all():
+        seen = [load_as(self.path("view", k), views.Seen.from_npz) for k in range(len(self.pictures.views))]
+        label = views.chosen(seen, whole, self.tuning.views)
+        if (label == views.UNSEEN).all():
             raise ReconstructionError("no image sees the surface of the cloud: look at the masks in the report")
-        for keep in (without_bubbles, lambda m, _: without_strays(m, self.tuning.surface)):
+        for keep in (views.without_bubbles, lambda m, _: surface.without_strays(m, self.tuning.surface)):
             kept = keep(whole, label)
             whole, label = whole.of_faces(kept), label[kept]
-        whole, kept = trimmed_border(whole, self.tuning.surface.border_rounds)
+        whole, kept = surface.trimmed_border(whole, self.tuning.surface.border_rounds)
         label = label[kept]
-        layout = laid_out(whole, label, self.views, self.settings.texture_px, self.tuning.texture.most)
+        layout = texture.laid_out(whole, label, self.pictures.views, self.settings.texture_px, self.tuning.texture.most)
         save_npz(self.path("mesh"), **vars(whole))
-        save_npz(self.path("nodes"), **nodes_of(whole, layout).to_npz())
+        save_npz(self.path("nodes"), **texture.nodes_of(whole, layout).to_npz())
         save_npz(self.path("layout"), **layout.to_npz())
 
     def make_colours(self, k: int) -> None:
@@ -154,11 +127,11 @@ class _Work:
         if not (layout.image == k).any():
             return save_npz(self.path("colours", k))
         rgb = self.pictures.picture(k)[0]
-        charts = cut_out(rgb, layout, k)
+        charts = texture.cut_out(rgb, layout, k)
         flat = np.concatenate([c.ravel() for c in charts])
-        nodes, whole, view = self.nodes(), self.mesh(), self.views[k]
-        edges = edge_colours(rgb, whole, nodes, own_sides(layout, nodes, k), view)
-        faces = face_colours(rgb, whole, own_faces(layout, k), view)
+        nodes, whole, view = self.nodes(), self.mesh(), self.pictures.views[k]
+        edges = texture.edge_colours(rgb, whole, nodes, texture.own_sides(layout, nodes, k), view)
+        faces = texture.face_colours(rgb, whole, texture.own_faces(layout, k), view)
         return save_npz(self.path("colours", k), charts=flat, edges=edges, faces=faces)
 
     def make_levels(self) -> None:
@@ -167,60 +140,60 @@ class _Work:
         edges, faces = np.zeros((len(nodes.seam), 2, 3)), np.full(whole.corners.shape, np.nan)
         for k in np.unique(layout.image):
             found = load_npz(self.path("colours", k))
-            edges[tuple(own_sides(layout, nodes, k).T)] = found["edges"]
-            faces[own_faces(layout, k)] = found["faces"]
-        change = levelled(nodes, edges, self.tuning.texture)
-        rgb = vertex_mean(whole, nodes, change, faces)
+            edges[tuple(texture.own_sides(layout, nodes, k).T)] = found["edges"]
+            faces[texture.own_faces(layout, k)] = found["faces"]
+        change = texture.levelled(nodes, edges, self.tuning.texture)
+        rgb = texture.vertex_mean(whole, nodes, change, faces)
         save_npz(self.path("levels"), change=change.astype(np.float32), rgb=rgb)
 
     def make_texture(self, page: int) -> None:
         layout, nodes, whole, levels = self.layout(), self.nodes(), self.mesh(), load_npz(self.path("levels"))
-        place, texture = places(whole, layout, self.views)
+        place, page_of = texture.places(whole, layout, self.pictures.views)
         width, height = layout.pages[page]
         out = np.full((height, width, 3), 128, np.uint8)
         order = np.argsort(layout.patch, kind="stable")
         start = np.searchsorted(layout.patch[order], np.arange(len(layout.image) + 1))
         for p, chart in self._charts(layout, page):
             face = order[start[p] : start[p + 1]]
-            corner = layout.at[p] - PAD
+            corner = layout.at[p] - texture.PAD
             change = levels["change"][nodes.corner[face]]
             high, wide = chart.shape[:2]
-            out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = levelled_chart(
+            out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = texture.levelled_chart(
                 chart, place[face] - corner, change
             )
-        bare = np.flatnonzero((layout.patch == UNSEEN) & (texture == page))
-        blocks = bare_blocks(levels["rgb"][whole.corners[bare]])
+        bare = np.flatnonzero((layout.patch == views.UNSEEN) & (page_of == page))
+        blocks = texture.bare_blocks(levels["rgb"][whole.corners[bare]])
         for (x, y), block in zip(layout.bare_at[layout.bare_page == page] - 1, blocks):
             out[y : y + 4, x : x + 4] = block
-        write_atomic(self.texture(page), cv2.imencode(".jpg", out[..., ::-1], JPEG)[1].tobytes())
+        write_atomic(self.page_path(page), cv2.imencode(".jpg", out[..., ::-1], texture.JPEG)[1].tobytes())
 
-    def _charts(self, layout: Layout, page: int) -> Iterator[tuple[int, np.ndarray]]:
+    def _charts(self, layout: texture.Layout, page: int) -> Iterator[tuple[int, np.ndarray]]:
         """(number, rectangle) of the patches on a texture."""
         for k in np.unique(layout.image[layout.page == page]):
             flat, done = load_npz(self.path("colours", k))["charts"], 0
             for p in np.flatnonzero(layout.image == k):
-                wide, high = layout.inner[p] + 2 * PAD
+                wide, high = layout.inner[p] + 2 * texture.PAD
                 if layout.page[p] == page:
                     yield int(p), flat[done : done + 3 * wide * high].reshape(high, wide, 3)
                 done += 3 * wide * high
 
 
-def _written(run: Run, work: _Work, layout: Layout) -> Outcome:
+def _written(run: Run, work: _Work, layout: texture.Layout) -> Outcome:
     whole = work.mesh()
-    place, texture = places(whole, layout, work.views)
-    coloured = Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
-    textured = Textured(coloured, place=place, texture=texture, pages=layout.pages)
+    place, page_of = texture.places(whole, layout, work.pictures.views)
+    coloured = surface.Mesh(whole.xyz, whole.corners, load_npz(work.path("levels"))["rgb"])
+    textured = files.Textured(coloured, place=place, texture=page_of, pages=layout.pages)
     said, lines = _said(run)
-    pictures = [work.texture(k) for k in range(len(layout.pages))]
+    pictures = [work.page_path(k) for k in range(len(layout.pages))]
     folder = run.path(FOLDER)
     save_json(folder / "offset.json", said)
-    write_atomic(folder / "mesh.glb", glb(textured, [p.read_bytes() for p in pictures], said))
-    write_atomic(folder / "mesh.mtl", mtl([p.name for p in pictures]))
+    write_atomic(folder / "mesh.glb", files.glb(textured, [p.read_bytes() for p in pictures], said))
+    write_atomic(folder / "mesh.mtl", files.mtl([p.name for p in pictures]))
     # Six digits of the size of the whole: tenths of a millimetre of a hundred metres
     decimals = int(np.clip(6 - np.floor(np.log10(max(float(np.ptp(whole.xyz, axis=0).max()), 1e-6))), 3, 12))
     with replacing(folder / "mesh.obj") as temporary, open(temporary, "wb") as file:
-        file.writelines(obj(textured, "mesh.mtl", decimals, lines))
-    write_atomic(folder / "mesh.ply", ply_of(coloured, said=tuple(lines)))
+        file.writelines(files.obj(textured, "mesh.mtl", decimals, lines))
+    write_atomic(folder / "mesh.ply", surface.ply_of(coloured, said=tuple(lines)))
     return _outcome(run, work, coloured, layout)
 
 
@@ -237,9 +210,9 @@ def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
     return said, [*lines, accuracy] if accuracy else lines
 
 
-def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
+def _outcome(run: Run, work: _Work, whole: surface.Mesh, layout: texture.Layout) -> Outcome:
     unit = world_unit(run.folder)
-    bare = int(np.count_nonzero(layout.patch == UNSEEN))
+    bare = int(np.count_nonzero(layout.patch == views.UNSEEN))
     cut = len(work.mesh("surface").corners) - len(whole.corners)
     counts: dict[str, float] = {
         "faces": len(whole.corners),
@@ -267,15 +240,15 @@ def _outcome(run: Run, work: _Work, whole: Mesh, layout: Layout) -> Outcome:
 def write_mesh_tiles(run: Run, place: Place, target: Path) -> None:
     """Write the mesh of a run as tiles that replace each other, with their tree, into a new folder."""
     with reading(run.path(FOLDER, "mesh.glb")):
-        found = Finished.read(run.path(FOLDER, "mesh.glb").read_bytes(), run.path(FOLDER, "mesh.ply"))
+        found = files.Finished.read(run.path(FOLDER, "mesh.glb").read_bytes(), run.path(FOLDER, "mesh.ply"))
     whole = found.moved(place.tiles_from_world)
     target.mkdir()
     call = partial(run_in_child, log=run.log, task="COLMAP's simplification")
 
     def tile(faces: np.ndarray, name: str) -> Tile:
-        below = branches(whole, faces)
+        below = files.branches(whole, faces)
         with scratch_folder(target) as scratch:
-            made = coarse(whole, faces, scratch, call) if below else fine(whole, faces)
+            made = files.coarse(whole, faces, scratch, call) if below else files.fine(whole, faces)
         (target / f"{name}.glb").write_bytes(made.glb)
         out = Tile(uri=f"{name}.glb", low=made.low, high=made.high, error=made.error)
         out.below = [tile(part, f"{name}{k}") for k, part in enumerate(below)]

@@ -28,8 +28,7 @@ from PIL import Image
 
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.files import CLOUD
-from tiegraph.pipeline.mark import ChangedMeanwhile, Marking
-from tiegraph.pipeline.view import Viewed
+from tiegraph.pipeline.mark import ChangedMeanwhile
 from tiegraph.watch.view import page
 
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
@@ -47,15 +46,17 @@ _CHUNK = 1 << 20  # bytes of a file sent at once
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page on 127.0.0.1; port 0 = any that is free. Raises InputError for a port that is not available."""
+    """Serves a page ``about`` a state, a session or a run on 127.0.0.1; port 0 = any that is free. Raises InputError
+    for a port that is not available."""
 
     daemon_threads = True
 
-    def __init__(self, port: int, handler: type["Handler"]) -> None:
+    def __init__(self, handler: type["Handler"], about: Any, port: int = 0) -> None:
         try:
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
             raise InputError(f"--port {port}: not available ({error}); give another, or 0 for any") from error
+        self.about, self.lock = about, threading.Lock()
         self.token = secrets.token_urlsafe(24)
         # Other users see the arguments of a browser that starts: its address is good for one request.
         self.once = {secrets.token_urlsafe(24): True}
@@ -69,6 +70,15 @@ class PageServer(ThreadingHTTPServer):
     def url(self) -> str:
         """The address of the page, with its token."""
         return f"http://{self.hosts[0]}/{self.token}/"
+
+    def start(self) -> None:
+        """Serve the page until ``close``, while this process does something else."""
+        threading.Thread(target=self.serve_forever, daemon=True, name="page").start()
+
+    def close(self) -> None:
+        """End what ``start`` began."""
+        self.shutdown()
+        self.server_close()
 
     def serve_until_interrupted(self, browser: bool) -> None:
         """Serve the page, opened in the ``browser`` or not, until Ctrl-C."""
@@ -166,44 +176,18 @@ class Handler(BaseHTTPRequestHandler):
         """Nothing: the terminal is the user's."""
 
 
-class WatchServer(PageServer):
-    """Serves the page of a watched folder until ``close``."""
-
-    def __init__(self, port: int) -> None:
-        super().__init__(port, _WatchHandler)
-        self.state = b"{}"
-        threading.Thread(target=self.serve_forever, daemon=True, name="watch-page").start()
-
-    def show(self, state: dict[str, Any]) -> None:
-        """The content of ``state.json`` from now on."""
-        self.state = json.dumps(state, separators=(",", ":")).encode()
-
-    def close(self) -> None:
-        """End it."""
-        self.shutdown()
-        self.server_close()
-
-
-class _WatchHandler(Handler):
-    server: WatchServer
+class WatchHandler(Handler):
+    """The page of a watched folder; about it: the content of ``state.json``."""
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
         return {
             "": lambda _: self._send(page(None), HTML),
-            "state.json": lambda _: self._send(self.server.state, "application/json"),
+            "state.json": lambda _: self._json(self.server.about),
         }
 
 
-class MarkServer(PageServer):
-    """Serves one session of marking."""
-
-    def __init__(self, session: Marking, port: int = 0) -> None:
-        super().__init__(port, _MarkHandler)
-        self.session, self.lock = session, threading.Lock()
-
-
-class _MarkHandler(Handler):
-    server: MarkServer
+class MarkHandler(Handler):
+    """The page of one session of marking (``Marking``)."""
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
         return {
@@ -216,7 +200,7 @@ class _MarkHandler(Handler):
 
     def _state(self) -> None:
         with self.server.lock:
-            self._json(self.server.session.state())
+            self._json(self.server.about.state())
 
     def do_POST(self) -> None:
         """Set a mark, {point, image, xy}, or take it away, xy null; the state that follows."""
@@ -228,8 +212,8 @@ class _MarkHandler(Handler):
             data = json.loads(sent)
             xy = None if data["xy"] is None else (float(data["xy"][0]), float(data["xy"][1]))
             with self.server.lock:
-                self.server.session.set(int(data["point"]), int(data["image"]), xy)
-                self._json(self.server.session.state())
+                self.server.about.set(int(data["point"]), int(data["image"]), xy)
+                self._json(self.server.about.state())
         except ChangedMeanwhile as error:
             self._refuse(HTTPStatus.CONFLICT, str(error))
         except (KeyError, TypeError, IndexError, ValueError, OverflowError, TiegraphError) as error:
@@ -237,31 +221,24 @@ class _MarkHandler(Handler):
 
     def _pixels(self, query: dict[str, str]) -> np.ndarray:
         image = int(query["k"])
-        if not 0 <= image < len(self.server.session.scene):
+        if not 0 <= image < len(self.server.about.scene):
             raise ValueError("no such image")
-        return self.server.session.pixels(image)
+        return self.server.about.pixels(image)
 
 
-class ViewServer(PageServer):
-    """Serves one finished run."""
+class ViewHandler(Handler):
+    """The page of one finished run (``Viewed``)."""
 
-    def __init__(self, viewed: Viewed, port: int = 0) -> None:
-        super().__init__(port, _ViewHandler)
-        self.viewed = viewed
-
-
-class _ViewHandler(Handler):
-    server: ViewServer
     policy = _VIEW_POLICY
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
-        viewed, page = self.server.viewed, files("tiegraph.view")
+        viewed, page = self.server.about, files("tiegraph.view")
         return {
             "": lambda _: self._send(page.joinpath("page.html").read_bytes(), HTML),
             "view.js": lambda _: self._send(page.joinpath("view.js").read_bytes(), "text/javascript"),
             "laz-perf.wasm": lambda _: self._send(page.joinpath("laz-perf.wasm").read_bytes(), "application/wasm"),
             "licences.txt": lambda _: self._send(page.joinpath("licences.txt").read_bytes(), _TEXT),
-            CLOUD: lambda _: self._file(viewed.path(CLOUD)),
+            CLOUD: lambda _: self._file(viewed.run.path(CLOUD)),
             "layers.json": lambda _: self._json(viewed.layers()),
             "pick": lambda q: self._json(viewed.pick(_numbers(q["at"], 3))),
             "apart": lambda q: self._json(viewed.apart(_numbers(q["at"], 6).reshape(2, 3), _numbers(q["sigma"], 2))),

@@ -21,6 +21,7 @@ from tiegraph.scan.recording import Recording
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings, video_offsets
+from tiegraph.scan.videos import videooffset
 from tiegraph.scan.videos.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
 from tiegraph.scan.videos.video import (
     NEAREST_STEPS,
@@ -33,15 +34,6 @@ from tiegraph.scan.videos.video import (
     recordings_of,
     sharpest,
     take_pictures,
-)
-from tiegraph.scan.videos.videooffset import (
-    Film,
-    MotionCurve,
-    Offset,
-    films_together,
-    find_offset,
-    motion_curve,
-    offsets_given,
 )
 from tiegraph.scan.videos.videotime import CREATION_APART_S, VideoClock, video_clock
 from tiegraph.scene.bags import source_of, split_topics
@@ -276,7 +268,7 @@ def _look(item: tuple[Recording, str], settings: ScanSettings) -> _Video:
 def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tuple[int, ...]], list[str]]:
     """The videos with their offsets, those of a rig on the clock of its first, the groups of them, and notes."""
     groups = _groups(run, videos)
-    told = offsets_given([v.folder for v in videos], run.settings.scan)
+    told = videooffset.offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
     lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
     stamped = {  # topics whose stamps are of one clock
@@ -332,24 +324,24 @@ def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
     alone: list[tuple[int, ...]] = [(k,) for k, v in enumerate(videos) if not v.width]
     if not good:
         return alone
-    films = [Film(videos[k].folder, videos[k].width, videos[k].height) for k in good]
+    films = [videooffset.Film(videos[k].folder, videos[k].width, videos[k].height) for k in good]
     rig, known = run.inputs.rig, rig_of_run(run.inputs.rig)
     text = None if known is None else known.text
     try:
-        together = films_together(films, rig, text, run.settings.scan, run.settings.tuning.scan)
+        together = videooffset.films_together(films, rig, text, run.settings.scan, run.settings.tuning.scan)
     except InputError as error:
         broken = ", ".join(v.name for v in videos if not v.width)
         raise InputError(f"{error}" + (f"; {broken} cannot be decoded" if broken else "")) from None
     return [tuple(good[f] for f in g) for g in together] + alone
 
 
-def _curve(video: _Video) -> MotionCurve:
+def _curve(video: _Video) -> videooffset.MotionCurve:
     with open_film(video.recording) as opened:
-        return motion_curve(opened.frames())
+        return videooffset.motion_curve(opened.frames())
 
 
-def _offset_of(curves: tuple[MotionCurve, MotionCurve]) -> Offset:
-    return find_offset(*curves)
+def _offset_of(curves: tuple[videooffset.MotionCurve, videooffset.MotionCurve]) -> videooffset.Offset:
+    return videooffset.find_offset(*curves)
 
 
 def _take(job: _Job, per_second: float) -> Pictures:

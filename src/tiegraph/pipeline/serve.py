@@ -25,9 +25,9 @@ import numpy as np
 from tiegraph.errors import InputError, SettingsError, TiegraphError
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import CLOUD
-from tiegraph.pipeline.pages import HTML, Handler, PageServer, ViewServer
+from tiegraph.pipeline.pages import HTML, Handler, PageServer, ViewHandler
 from tiegraph.pipeline.scan import describe
-from tiegraph.pipeline.view import Viewed, open_view
+from tiegraph.pipeline.view import open_view
 from tiegraph.project.folder import SETTINGS
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
@@ -36,6 +36,7 @@ from tiegraph.project.stages import Receipts
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.names import inside
 from tiegraph.scene.scene import Scene
+from tiegraph.text import counted
 
 _CHUNK = 1 << 20  # bytes of an upload read at once
 _ROOM = 1 << 28  # bytes of the disk that uploads leave free
@@ -61,6 +62,7 @@ class Session:
         self._stages: dict[str, dict[str, Any]] = {}
         self._asked = _asked_before(images, out)
         self._stopped = False
+        self._view: PageServer | None = None
         images.mkdir(parents=True, exist_ok=True)
 
     def receive(self, name: str, source: BufferedIOBase, length: int) -> bool:
@@ -154,9 +156,14 @@ class Session:
             **{n: (self.out / f).is_file() for n, f in (("report", "report.html"), ("cloud", CLOUD))},
         }  # fmt: skip
 
-    def viewed(self) -> Viewed:
-        """The results as ``tiegraph view`` shows them. Raises InputError without a cloud."""
-        return open_view(Run(self.out, Inputs(self.images), merged()))
+    def view(self) -> str:
+        """Where ``tiegraph view`` shows the cloud, with what the run has made so far. Raises InputError without one."""
+        viewed = open_view(Run(self.out, Inputs(self.images), merged()))
+        if self._view is not None:
+            self._view.close()
+        self._view = PageServer(ViewHandler, viewed)
+        self._view.start()
+        return self._view.url
 
     def _files(self) -> dict[str, Any]:
         """How many files were handed over, and those that an option may name."""
@@ -194,8 +201,7 @@ _TABLES = (
 
 def _told(event: dict[str, Any]) -> dict[str, Any]:
     kind = {"started": "runs", "finished": "done", "skipped": "up to date", "lost": "nothing came of it"}
-    numbers = {k.replace("_", " "): v for k, v in event.get("counts", {}).items() if isinstance(v, (int, float))}
-    counts = ", ".join(f"{int(v)} {k}" if v == int(v) else f"{v:.3g} {k}" for k, v in numbers.items())
+    counts = counted(event.get("counts", {}))
     said = {"is": kind.get(event.get("event", ""), ""), "seconds": event.get("seconds"), "counts": counts}
     warnings = [event["why"]] if "why" in event else list(event.get("contradictions", ()))
     return {**said, "warnings": warnings, "notes": list(event.get("notes", ()))}
@@ -229,31 +235,11 @@ def _same(source: BufferedIOBase, length: int, path: Path) -> bool:
     return done == length and not differing
 
 
-class ServeServer(PageServer):
-    """Serves one survey."""
-
-    def __init__(self, session: Session, port: int = 0) -> None:
-        super().__init__(port, _ServeHandler)
-        self.session, self.lock = session, threading.Lock()
-        self._view: ViewServer | None = None
-
-    def view(self) -> str:
-        """Where the cloud is shown, with what the run has made so far. Raises InputError without one."""
-        with self.lock:
-            viewed = self.session.viewed()
-            if self._view is not None:
-                self._view.shutdown()
-                self._view.server_close()
-            self._view = ViewServer(viewed, 0)
-            threading.Thread(target=self._view.serve_forever, daemon=True, name="serve-view").start()
-            return self._view.url
-
-
-class _ServeHandler(Handler):
-    server: ServeServer
+class ServeHandler(Handler):
+    """The page of one survey (``Session``)."""
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
-        session, page = self.server.session, files("tiegraph.pipeline").joinpath("serve.html")
+        session, page = self.server.about, files("tiegraph.pipeline").joinpath("serve.html")
         made = {name: session.out / name for name in ("report.html", *session.pictures())}
         return {
             "": lambda _: self._send(page.read_bytes(), HTML),
@@ -275,7 +261,7 @@ class _ServeHandler(Handler):
             self._refuse(HTTPStatus.BAD_REQUEST, "not a file with its length")
             return
         try:
-            new = self.server.session.receive(path.removeprefix("files/"), self.rfile, int(length))
+            new = self.server.about.receive(path.removeprefix("files/"), self.rfile, int(length))
         except (TiegraphError, OSError) as error:
             self._refuse(HTTPStatus.CONFLICT, str(error))
             return
@@ -289,15 +275,16 @@ class _ServeHandler(Handler):
         if sent is None:
             return
         try:
-            data = json.loads(sent or b"{}")
+            data, session = json.loads(sent or b"{}"), self.server.about
             if path == "view":
-                self._json({"url": self.server.view()})
+                with self.server.lock:
+                    self._json({"url": session.view()})
                 return
             if path == "stop":
-                self.server.session.stop()
+                session.stop()
             else:
                 options = {str(k): str(v) for k, v in dict(data.get("options", {})).items()}
-                self.server.session.start(options, "scan" if data.get("until") == "scan" else None)
-            self._json(self.server.session.state())
+                session.start(options, "scan" if data.get("until") == "scan" else None)
+            self._json(session.state())
         except (TypeError, ValueError, AttributeError, TiegraphError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))

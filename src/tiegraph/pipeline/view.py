@@ -9,28 +9,15 @@ from typing import Any
 import cv2
 import laspy
 import numpy as np
-import rasterio
-from rasterio.enums import Resampling
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
+from tiegraph.pipeline import files
 from tiegraph.pipeline.dense import depth_path
-from tiegraph.pipeline.files import (
-    CLOUD,
-    checked,
-    load_json,
-    load_model,
-    pairs_of,
-    placement_error,
-    read_colours,
-    reading,
-    world_origin,
-    world_unit,
-)
 from tiegraph.pipeline.georef import stated
-from tiegraph.pipeline.terrain import FOLDER
-from tiegraph.products.raster import hillshade
-from tiegraph.products.surface import MAP, NODATA
+from tiegraph.pipeline.products import FOLDER
+from tiegraph.products.raster import averages, hillshade
+from tiegraph.products.surface import MAP
 from tiegraph.project.folder import check_format
 from tiegraph.project.run import Run
 from tiegraph.scene.cloudfile import shift_of
@@ -39,20 +26,7 @@ from tiegraph.scene.copc import copc_box
 from tiegraph.scene.vectors import read_shapes
 from tiegraph.targets.marks import seen_in
 from tiegraph.text import finite
-from tiegraph.view.layers import (
-    Known,
-    View,
-    cameras,
-    coordinates,
-    distance_sigma,
-    hidden,
-    mesh,
-    nearest,
-    sigmas,
-    strung,
-    ties,
-    tinted,
-)
+from tiegraph.view import layers
 
 _SHEETS = (("ortho", "dsm", "orthophoto"), ("dsm", "dsm", "surface model"), ("dtm", "dtm", "terrain"))
 _MESH_PX, _PICTURE_PX = 256, 2048  # pixels along a raster at most, of its heights and of its colours
@@ -79,8 +53,8 @@ class Viewed:
     unit: str
     box: np.ndarray  # (2, 3) least and largest coordinates of the cloud in the CRS
     points: int
-    images: dict[str, View]
-    known: Known
+    images: dict[str, layers.View]
+    known: layers.Known
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -97,7 +71,7 @@ class Viewed:
         """The rasters that there are."""
         found = []
         for path in sorted(self.run.path(FOLDER).glob("*/frame.json")):
-            frame, folder = load_json(path), path.parent
+            frame, folder = files.load_json(path), path.parent
             if "surface_from_crs" not in frame:  # an unrolled raster is on no plane
                 continue
             for colours, heights, said in _SHEETS:
@@ -106,22 +80,18 @@ class Viewed:
                     found.append(Sheet(f"{folder.name}: {said}", *paths, frame=frame))
         return found
 
-    def path(self, *parts: str) -> Path:
-        """A path below the run folder."""
-        return self.run.path(*parts)
-
     def layers(self) -> dict[str, Any]:
         """All that the page lists, JSON-ready."""
-        pairs = pairs_of(self.run, "match.npz")
+        pairs = files.pairs_of(self.run, "match.npz")
         index = {name: k for k, name in enumerate(self.images)}
-        rows = {k: index[name] for k, name in enumerate(checked(self.run).names) if name in index}
+        rows = {k: index[name] for k, name in enumerate(files.checked(self.run).names) if name in index}
         low, high = (self.box - self.middle).tolist()
         return finite({
             "name": self.run.folder.name, "points": self.points, "unit": self.unit,
             "crs": None if self.origin is None else self.origin.crs,
             "middle": self.middle, "low": low, "high": high,
-            "cameras": cameras(self.names, list(self.images.values()), self._shift - self.middle),
-            "ties": ties(pairs, rows),
+            "cameras": layers.cameras(self.names, list(self.images.values()), self._shift - self.middle),
+            "ties": layers.ties(pairs, rows),
             "sheets": [sheet.name for sheet in self.sheets],
             "contours": self._contours is not None,
         })  # fmt: skip
@@ -130,7 +100,7 @@ class Viewed:
         """(H, W, 3) of an image, BGR. Raises ValueError for a number that is none."""
         if not 0 <= image < len(self.images):
             raise ValueError("no such image")
-        return read_colours(self.path("images", self.names[image]))
+        return files.read_colours(self.run.path("images", self.names[image]))
 
     def pick(self, local: np.ndarray) -> dict[str, Any]:
         """The point of the cloud nearest to a local place (3,), JSON-ready: its coordinates, its sigmas, and the images
@@ -138,8 +108,8 @@ class Viewed:
         place = local + self.middle - self._shift
         step = max(float(np.ptp(self.box, axis=0).max()) * 1e-6, 1e-9)
         for reach in step * 8.0 ** np.arange(6):
-            cloud = copc_box(self.path(CLOUD), self.origin, place - reach, place + reach)
-            row = nearest(cloud, place)
+            cloud = copc_box(self.run.path(files.CLOUD), self.origin, place - reach, place + reach)
+            row = layers.nearest(cloud, place)
             if row is not None:
                 break
         else:
@@ -148,8 +118,8 @@ class Viewed:
         seen = seen_in(dict(enumerate(self.images.values())), xyz)
         return finite({
             "local": xyz + self._shift - self.middle,
-            **coordinates(xyz, self.origin),
-            "sigma": sigmas(xyz, float(cloud.sigma_m[row]), self.known),
+            **layers.coordinates(xyz, self.origin),
+            "sigma": layers.sigmas(xyz, float(cloud.sigma_m[row]), self.known),
             "views": int(cloud.views[row]),
             "images": [
                 {"image": k, "xy": xy, "hidden": self._hidden(k, xyz) if n < _COMPARED else None}
@@ -162,25 +132,24 @@ class Viewed:
         by those of both ``points`` (2,)."""
         x, y, z = np.diff(ends, axis=0)[0]
         away = float(np.linalg.norm([x, y, z]))
-        sigma = distance_sigma(away, points, self.known)
+        sigma = layers.distance_sigma(away, points, self.known)
         return finite({"distance": away, "sigma": sigma, "level": float(np.hypot(x, y)), "height": float(z)})
 
     def mesh(self, sheet: int) -> np.ndarray:
         """Rows and columns (2,) f4, and the local places (rows x columns x 3) f4 of a raster."""
         asked = self._sheet(sheet)
-        xyz = mesh(_heights(asked.heights, _MESH_PX), asked.frame, self.middle)
+        xyz = layers.mesh(_small(asked.heights, _MESH_PX)[0], asked.frame, self.middle)
         return np.r_[np.array(xyz.shape[:2], np.float32), xyz.ravel()]
 
     def picture(self, sheet: int) -> bytes:
         """A PNG of the colours of a raster, transparent where nothing is known."""
         asked = self._sheet(sheet)
         if asked.colours != asked.heights:
-            with reading(asked.colours), rasterio.open(asked.colours) as raster:
-                rgba = raster.read(out_shape=(4, *_shape(raster, _PICTURE_PX)), resampling=Resampling.average)
+            rgba = _small(asked.colours, _PICTURE_PX).astype(np.uint8)
             return cv2.imencode(".png", rgba[[2, 1, 0, 3]].transpose(1, 2, 0))[1].tobytes()
-        w = _heights(asked.heights, _PICTURE_PX)
+        w = _small(asked.heights, _PICTURE_PX)[0]
         pixel = asked.frame["pixel"] * max(asked.frame["size"]) / max(w.shape)
-        return cv2.imencode(".png", tinted(w, hillshade(np.pad(w, 1, mode="edge"), pixel)))[1].tobytes()
+        return cv2.imencode(".png", layers.tinted(w, hillshade(np.pad(w, 1, mode="edge"), pixel)))[1].tobytes()
 
     def contours(self) -> np.ndarray:
         """(N, 3) f4 local vertices of the contour lines, NaN after each."""
@@ -189,11 +158,11 @@ class Viewed:
         lines = read_shapes(self._contours, "line", 3).parts
         if self.origin is not None and self._contours.suffix == ".geojson":  # degrees
             lines = [world_from_geodetic(p[:, [1, 0, 2]], self.origin) + self._shift for p in lines]
-        return strung(lines, self.middle)
+        return layers.strung(lines, self.middle)
 
     @property
     def _contours(self) -> Path | None:
-        named = (self.path(FOLDER, MAP, f"contours.{kind}") for kind in ("gpkg", "geojson"))
+        named = (self.run.path(FOLDER, MAP, f"contours.{kind}") for kind in ("gpkg", "geojson"))
         return next((p for p in named if p.exists()), None)
 
     @property
@@ -209,40 +178,33 @@ class Viewed:
         path = depth_path(self.run.folder, self.names[image])
         if not path.exists():
             return None
-        with reading(path), np.load(path) as depth:
-            return hidden(place, depth["depth_m"], depth["K"], depth["cam_from_world"])
+        with files.reading(path), np.load(path) as depth:
+            return layers.hidden(place, depth["depth_m"], depth["K"], depth["cam_from_world"])
 
 
 def open_view(run: Run) -> Viewed:
     """A finished run. Raises InputError for one without a cloud."""
     check_format(run.folder)
-    path = run.path(CLOUD)
+    path = run.path(files.CLOUD)
     if not path.exists():
         raise InputError(f"{path} is not there, the run has no cloud yet: tiegraph cloud {run.folder}")
-    with reading(path), laspy.open(path) as cloud:
+    with files.reading(path), laspy.open(path) as cloud:
         header = cloud.header
-    model = load_model(run.path("sparse", "world"))  # to the end: it owns its cameras
+    model = files.load_model(run.path("sparse", "world"))  # to the end: it owns its cameras
     posed = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
-    inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
+    inside = (files.load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     predicted = stated(run, {}).predicted
     return Viewed(
         run=run,
-        origin=world_origin(run.folder),
-        unit=world_unit(run.folder),
+        origin=files.world_origin(run.folder),
+        unit=files.world_unit(run.folder),
         box=np.array([header.mins, header.maxs]),
         points=header.point_count,
         images={i.name: (matrix(i.cam_from_world()), copy(i.camera)) for i in posed},
-        known=Known(inside, placement_error(run.folder), scale=predicted.scale, between=predicted.between),
+        known=layers.Known(inside, files.placement_error(run.folder), scale=predicted.scale, between=predicted.between),
     )
 
 
-def _shape(raster: rasterio.io.DatasetReader, most: int) -> tuple[int, int]:
-    step = max(1.0, max(raster.shape) / most)
-    return max(2, int(raster.height / step)), max(2, int(raster.width / step))
-
-
-def _heights(path: Path, most: int) -> np.ndarray:
-    """Heights (rows, columns) of a raster, at most so many a side; NaN where not known."""
-    with reading(path), rasterio.open(path) as raster:
-        w = raster.read(1, out_shape=_shape(raster, most), resampling=Resampling.average).astype(float)
-    return np.where(w == NODATA, np.nan, w)
+def _small(path: Path, most: int) -> np.ndarray:
+    with files.reading(path):
+        return averages(path, most, most)[0]

@@ -20,22 +20,12 @@ import numpy as np
 from tiegraph.child import end_helpers
 from tiegraph.design.coverage import VERDICTS
 from tiegraph.errors import InputError
-from tiegraph.pipeline import STAGES
+from tiegraph.pipeline import STAGES, watchmodel
 from tiegraph.pipeline.features import preview_of, preview_path
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_given
-from tiegraph.pipeline.pages import WatchServer
-from tiegraph.pipeline.watchmodel import (
-    CoarseModels,
-    Modelled,
-    make_preview,
-    matched,
-    neighbours,
-    resect_previews,
-    shown_scene,
-    shown_surface,
-)
+from tiegraph.pipeline.pages import PageServer, WatchHandler
 from tiegraph.project.folder import working_in
 from tiegraph.project.run import Run, check_run
 from tiegraph.project.stages import write_atomic
@@ -45,8 +35,7 @@ from tiegraph.scene.names import clean_names
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.watch.arrivals import Arrivals
-from tiegraph.watch.frames import Known, place_frames
+from tiegraph.watch.frames import Arrivals, Known, place_frames
 from tiegraph.watch.tuning import Tuning
 from tiegraph.watch.view import page
 
@@ -64,17 +53,18 @@ def watch(run: Run, port: int, tuning: Tuning) -> None:
     check_run(STAGES, run)
     check_given(STAGES, run)
     cv2.setNumThreads(1)  # the second core is for the model
-    server = WatchServer(port)
+    server = PageServer(WatchHandler, {}, port)
     try:
         with working_in(run.folder):
             watched = Watched(run, tuning)
-            server.show(watched.state())
+            server.about = watched.state()
+            server.start()
             run.reporter.say(f"watching {run.inputs.images}: {server.url} shows what arrives; Ctrl-C ends it")
             run.reporter.event("watching", page=server.url, folder=str(run.inputs.images))
             try:
                 while True:
                     if watched.step(time.monotonic()):
-                        server.show(watched.state())
+                        server.about = watched.state()
                     time.sleep(watched.tuning.arrivals.look_s)
             except KeyboardInterrupt:
                 end_helpers()
@@ -103,7 +93,7 @@ class Watched:
         self._rigs: tuple[Rig, ...] = ()
         self._rig_text = rig_of_run(run.inputs.rig)
         self._tried: dict[str, int] = {}  # frame -> matches to images with a pose when its resection failed
-        self._models = CoarseModels(run)
+        self._models = watchmodel.CoarseModels(run)
         self._unsaved, self._last, self._saved = True, 0.0, 0.0
         self._recall()
 
@@ -159,7 +149,7 @@ class Watched:
             self.poses.pop(name, None)
             self._ties = {pair: matches for pair, matches in self._ties.items() if name not in pair}
             try:
-                make_preview(self.scene, image, root / file, self.run.folder, self.run.settings)
+                watchmodel.make_preview(self.scene, image, root / file, self.run.folder, self.run.settings)
                 self._digest[name] = digest
                 new.append(name)
             except (InputError, OSError) as error:  # gone or broken since it was opened
@@ -196,10 +186,10 @@ class Watched:
         scene = self.scene
         if scene is None or not new:
             return
-        pairs = neighbours(scene, self.tuning.neighbours, self.run.settings)
+        pairs = watchmodel.neighbours(scene, self.tuning.neighbours, self.run.settings)
         missing = [(a, b) for a, b in pairs.tolist() if (scene.names[a], scene.names[b]) not in self._ties]
         missing = [(a, b) for a, b in missing if scene.names[a] in self._digest and scene.names[b] in self._digest]
-        self._remember(scene, matched(np.reshape(missing, (-1, 2)).astype(int), scene, self.run.folder,
+        self._remember(scene, watchmodel.matched(np.reshape(missing, (-1, 2)).astype(int), scene, self.run.folder,
                                       self.run.settings))  # fmt: skip
 
     def _remember(self, scene: Scene, ties: PreviewMatches) -> None:
@@ -220,7 +210,7 @@ class Watched:
             return
         ties, known = self.ties(scene), self._known(scene)
         size_px = self.run.settings.preview.size_px
-        how = partial(resect_previews, size_px=size_px)
+        how = partial(watchmodel.resect_previews, size_px=size_px)
         for _ in range(2):  # a frame may depend on one that comes after it
             without = ~known.placed()
             across = without[ties.i] != without[ties.j]
@@ -261,7 +251,7 @@ class Watched:
             self._models.start(scene, self.ties(scene))
             self._models.ties = len(self._ties)
 
-    def _take_model(self, made: Modelled) -> None:
+    def _take_model(self, made: watchmodel.Modelled) -> None:
         scene = self._models.scene
         self._remember(scene, made.ties)
         if made.poses is None:
@@ -287,11 +277,11 @@ class Watched:
             "metric": False, "counts": {"images": 0, "tied": 0, "posed": 0},
         }  # fmt: skip
         if scene is None:
-            out["surface"] = shown_surface(self._models, np.eye(4), 1.0)
+            out["surface"] = watchmodel.shown_surface(self._models, np.eye(4), 1.0)
         else:
             least = self.run.settings.candidates.min_matches
             poses = self._known(scene).poses
-            out |= shown_scene(scene, self.ties(scene), poses, self._models, least)
+            out |= watchmodel.shown_scene(scene, self.ties(scene), poses, self._models, least)
             broken = {**{d.name: d.reason for d in scene.dropped}, **broken}
             out["notes"] = list(scene.notes)
         out["broken"] = [[name, why] for name, why in sorted(broken.items())]

@@ -3,7 +3,7 @@
 A map, the elevation of a wall and an unrolled lining are one mechanism: a frame (u, v, w), and rasters of w over
 (u, v). Of a map the axes are east, north and up; of a wall u runs along it, v up and w out of it, so that a viewer in
 front of it sees u grow to the right. Only the choice in `surface.py` distinguishes the two. The frame is rigid, or
-curved along the path of the cameras (`frame.py`, `alignment.py`).
+curved along the path of the cameras (`frame.py`).
 
 Points become heights cell by cell: the points that face along w, a robust top of them, and the mean by 1 / sigma^2 of
 the points at that top, which are seen from outside. Small holes are filled by a plane fitted to the cells

@@ -158,6 +158,18 @@ def read_window(path: Path, window: Window, step: int = 1) -> np.ndarray:
         return out
 
 
+def averages(path: Path, width: int, height: float = np.inf) -> tuple[np.ndarray, rasterio.Affine]:
+    """Averages (bands, rows, columns) of a raster of so many pixels in width and height at most, NaN where lengths are
+    not known, and their transform to the coordinates of the file."""
+    with rasterio.open(path) as raster:
+        step = max(1.0, raster.width / width, raster.height / height)
+        rows, columns = max(2, int(raster.height / step)), max(2, int(raster.width / step))
+        found = raster.read(out_shape=(raster.count, rows, columns), resampling=Resampling.average).astype(float)
+        of_file, across, down = raster.transform, raster.width / columns, raster.height / rows
+    to_file = rasterio.Affine(of_file.a * across, 0, of_file.c, 0, of_file.e * down, of_file.f)
+    return np.where(found == NODATA, np.nan, found), to_file
+
+
 def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:
     """Shades (rows, columns) u1, 1 to 255, 0 = not known, of heights (rows + 2, columns + 2) with a margin of a pixel;
     light from the upper left, 45 deg high."""
@@ -172,12 +184,10 @@ def hillshade(w: np.ndarray, pixel_m: float) -> np.ndarray:
 def overview(path: Path, width: int, unit: str) -> bytes:
     """A JPEG file of an RGBA raster on white, at most so many pixels wide, with a scale bar in ``unit`` below: a tenth
     of its width or somewhat more."""
-    with rasterio.open(path) as raster:
-        shape = _shape(raster, width)
-        rgba = raster.read(out_shape=(4, *shape), resampling=Resampling.average).astype(float)
-        pixel = raster.transform.a * raster.width / shape[1]
-    strip = np.full((_BAR, shape[1], 3), 255, np.uint8)
-    length = rounded_up(shape[1] * pixel / 10, (1, 2, 5, 10))
+    rgba, to_file = averages(path, width)
+    pixel, columns = to_file.a, rgba.shape[2]
+    strip = np.full((_BAR, columns, 3), 255, np.uint8)
+    length = rounded_up(columns * pixel / 10, (1, 2, 5, 10))
     cv2.rectangle(strip, (4, 8), (4 + round(length / pixel), 12), _INK, cv2.FILLED)
     _write(strip, f"{length:g} {unit}", np.array([4 + round(length / pixel / 2), 30]))
     return _jpeg(np.concatenate([np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).transpose(1, 2, 0), strip]))
@@ -186,31 +196,22 @@ def overview(path: Path, width: int, unit: str) -> bytes:
 def relief(path: Path, width: int, unit: str, lines: Sequence[Line] = ()) -> bytes:
     """A JPEG file of a raster of lengths as shaded colours with their scale below, at most so many pixels wide, with
     contour lines on it."""
-    with rasterio.open(path) as raster:
-        shape = _shape(raster, width)
-        w = raster.read(1, out_shape=shape, resampling=Resampling.average).astype(float)
-        to_file, pixel = raster.transform, raster.transform.a * raster.width / shape[1]
-    w[w == NODATA] = np.nan
+    (w,), to_file = averages(path, width)
     known = np.isfinite(w)
     low, high = np.percentile(w[known], _TAILS) if known.any() else (0.0, 1.0)
     high = max(high, low + 1e-6)
     tint = _tints((np.nan_to_num(w, nan=low) - low) / (high - low))
-    shade = hillshade(np.pad(np.where(known, w, np.nan), 1, mode="edge"), pixel)[..., None] / 255.0
+    shade = hillshade(np.pad(np.where(known, w, np.nan), 1, mode="edge"), to_file.a)[..., None] / 255.0
     light = np.where(shade > 0, 0.35 + 0.9 * shade, 1.0)  # no shade at the edge of the known area
     drawn = np.where(known[..., None], np.clip(tint * light, 0, 255), 255).astype(np.uint8)
     for line in lines:
-        at = (line.uv - [to_file.c, to_file.f]) / [pixel, -pixel]
+        at = (line.uv - [to_file.c, to_file.f]) / [to_file.a, -to_file.a]
         vertices = np.rint((at - 0.5) * (1 << _BITS)).astype(np.int32)
         thick = 2 if line.index else 1
         cv2.polylines(drawn, [vertices], False, _INK, thickness=thick, lineType=cv2.LINE_AA, shift=_BITS)
         if line.index and np.linalg.norm(np.diff(at, axis=0), axis=1).sum() > _LABELLED_PX:
             _write(drawn, f"{line.w:g}", at[len(at) // 2].astype(int))
     return _jpeg(np.concatenate([drawn, _scale(drawn.shape[1], low, high, unit)]))
-
-
-def _shape(raster: rasterio.io.DatasetReader, width: int) -> tuple[int, int]:
-    step = max(1.0, raster.width / width)
-    return max(1, int(raster.height / step)), max(1, int(raster.width / step))
 
 
 def _jpeg(bgr: np.ndarray) -> bytes:

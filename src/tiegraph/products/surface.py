@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.products import alignment
+from tiegraph.products import frame as curved
 from tiegraph.products.frame import Frame
 from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.tuning import ChooseTuning
@@ -268,13 +268,13 @@ def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: Choo
 def _unrolled(survey: Survey, kind: str, tuning: ChooseTuning) -> list[Surface]:
     """The curved surfaces of a kind along the path, the largest first."""
     cloud = survey.sample.where(evenly(len(survey.sample), _FITTED))
-    fits = {"tunnel": alignment.tunnel, "wall": alignment.walls}[kind](survey.path, cloud, tuning)
+    fits = {"tunnel": curved.tunnel, "wall": curved.walls}[kind](survey.path, cloud, tuning)
     found = []
     for k, (frame, share) in enumerate(fits, 1):
         _, axes, bend = frame.axis(frame.stations)
         turns = np.sum(bend * axes[:, 1], axis=1) if not frame.tube else np.zeros(1)
         deep, around = _near(survey, frame, tuning.reach), np.pi * frame.radius  # infinite for a wall
-        room = [min(deep, alignment.TIGHTEST / max(1e-9, (sign * turns).max())) for sign in (-1, 1)]
+        room = [min(deep, curved.TIGHTEST / max(1e-9, (sign * turns).max())) for sign in (-1, 1)]
         low, high = np.array([0.0, -around, -room[0]]), np.array([frame.stations[-1], around, room[1]])
         found.append(Surface(kind if frame.tube else f"{kind}{k}", frame, low=low, high=high, share=share))
     return found

@@ -27,7 +27,7 @@ With Dask (``daskpool``) the workers that exist at the start do the run, after e
 run folder and images under the same paths). Each makes one item at a time, and its threads go to the libraries. A
 lost worker ends the run with an error, and the next run continues it. Workers stop between two items when the run has
 ended, and a run begins only when they are free. Cached files of a worker are keyed by the file's stamp
-(``scene.atomic``). For SLURM (``queuepool``) the scheduler is in this process, and its workers are jobs.
+(``scene.atomic``). For SLURM (``pool.open_slurm``) the scheduler is in this process, and its workers are jobs.
 
 **Stores** (``stores``). Inputs that are URLs are copied beside the run folder before the first stage; from there on
 they are files. Only what has changed is copied, and nothing is ever removed or written over in a store.

@@ -13,20 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
 from tiegraph.errors import InputError, UnreadableArtefact
-from tiegraph.project.stages import (
-    Ledger,
-    Outcome,
-    Receipts,
-    Stage,
-    covered,
-    digest_of,
-    files_below,
-    put_aside,
-    read_journal,
-    recorded,
-    take_away,
-    trouble,
-)
+from tiegraph.project import stages
 from tiegraph.scene.atomic import JOURNAL, is_temporary, remove
 from tiegraph.text import some
 
@@ -40,10 +27,10 @@ _SHOWN = 3
 class Artefacts:
     """The artefacts that a table of stages makes below a run folder."""
 
-    def __init__(self, folder: Path, stages: Sequence[Stage]) -> None:
+    def __init__(self, folder: Path, table: Sequence[stages.Stage]) -> None:
         self.folder = folder
-        self.receipts = Receipts(folder)
-        self._stages = tuple(stages)
+        self.receipts = stages.Receipts(folder)
+        self._stages = tuple(table)
         self._troubles: dict[str, dict[str, str]] = {}
 
     def look(self, thorough: bool = False) -> bool:
@@ -67,7 +54,7 @@ class Artefacts:
             self._troubles.setdefault(maker, {})[name] = "cannot be read"
         return bool(maker)
 
-    def why(self, stage: Stage, key: str) -> str:
+    def why(self, stage: stages.Stage, key: str) -> str:
         """Why a stage is not up to date, in words; "" if it is."""
         receipt = self.receipts.read(stage.name)
         if self.receipts.damaged(stage.name) or self.receipts.files(stage.name) is None:
@@ -83,35 +70,35 @@ class Artefacts:
             return f"{anew[0]} was made anew"
         return next((f"{name} {what}" for name, what in self._troubles.get(stage.name, {}).items()), "")
 
-    def lost(self, stage: Stage, key: str) -> str:
+    def lost(self, stage: stages.Stage, key: str) -> str:
         """Why the images gave no result for a stage, from the present state; "" if that may have changed."""
         receipt = self.receipts.read(stage.name)
         return "" if receipt.get(DIED) or self._other(stage, key) else str(receipt.get(LOST, ""))
 
-    def let_go(self, stage: Stage) -> int:
+    def let_go(self, stage: stages.Stage) -> int:
         """Remove the files of a stage that is up to date, which stays so until another needs them; their bytes.
 
         Its receipt records it first: a stage whose files were removed on purpose never counts as damaged.
         """
         receipt, files = self.receipts.read(stage.name), self.receipts.files(stage.name) or {}
-        own = [n for n in files if covered(n, stage.makes) and (self.folder / n).exists()]
+        own = [n for n in files if stages.covered(n, stage.makes) and (self.folder / n).exists()]
         size = sum((self.folder / n).stat().st_size for n in own)
         self.receipts.write(stage.name, {**receipt, _LET_GO: True})
-        take_away(self.folder, own)
+        stages.take_away(self.folder, own)
         self.receipts.write_files(stage.name, {n: e for n, e in files.items() if n not in set(own)})
         return size
 
-    def is_let_go(self, stage: Stage) -> bool:
+    def is_let_go(self, stage: stages.Stage) -> bool:
         """Whether the files of a stage were removed by ``let_go``."""
         return bool(self.receipts.read(stage.name).get(_LET_GO))
 
-    def refuse(self, stage: Stage) -> None:
+    def refuse(self, stage: stages.Stage) -> None:
         """Raise InputError for files that a stage did not make in the place of its artefacts."""
         ledger = self.receipts.files(stage.name)
         if ledger is None:  # damaged: existing files are put aside
             return
         there = (n for n in self._there(stage) if n not in ledger)
-        if found := [n for n in there if not covered(n, stage.scratch) and not is_temporary(n)]:
+        if found := [n for n in there if not stages.covered(n, stage.scratch) and not is_temporary(n)]:
             raise InputError(
                 f"{self.folder}: {some(found, _SHOWN)} lie where stage {stage.name} writes its results, but no receipt "
                 "lists them as made by tiegraph: move them elsewhere, or give another -o folder"
@@ -121,16 +108,16 @@ class Artefacts:
         """Enter the files of an interrupted run into the lists of its stages. The journal stays until a stage begins:
         a worker may still be writing a file that it noted there."""
         claimed: dict[str, set[str]] = {}
-        for name in read_journal(self.folder):
+        for name in stages.read_journal(self.folder):
             claimed.setdefault(self._maker(name), set()).add(name)
         for stage in self._stages:
             ledger = self.receipts.files(stage.name)
             if claimed.get(stage.name) and ledger is not None:
-                there: Ledger = {n: [] for n in _within(self._there(stage), claimed[stage.name])}
+                there: stages.Ledger = {n: [] for n in _within(self._there(stage), claimed[stage.name])}
                 done = "key" in self.receipts.read(stage.name)
                 self.receipts.write_files(stage.name, there | ledger if done else ledger | there)
 
-    def begin(self, stage: Stage, key: str) -> list[str]:
+    def begin(self, stage: stages.Stage, key: str) -> list[str]:
         """Keep the finished items of an interrupted run with the same key, remove files made from other sources;
         notes. No worker may be at work. Raises InputError for files that are not ours."""
         self.recover()
@@ -139,28 +126,28 @@ class Artefacts:
             said.append(f"{self.receipts.path(stage.name)} could not be read: the stage runs again")
         troubles = self._troubles.pop(stage.name, {})
         if ledger is None:
-            place = put_aside(self.folder, names)
+            place = stages.put_aside(self.folder, names)
             said += [f"the list of what {stage.name} made was damaged: its files are in {place} now"] if place else []
             names, ledger = [], {}
         self.refuse(stage)
         told = some((f"{n} {what}" for n, what in troubles.items()), _SHOWN, joint="; ")
-        changed = [n for n, what in troubles.items() if what != "is missing" and covered(n, _tops(stage))]
-        theirs = [n for n in changed if trouble(self.folder / n, self._last(n, ledger), thorough=True)]
-        place = put_aside(self.folder, [n for n in theirs if os.path.lexists(self.folder / n)])
-        take_away(self.folder, set(changed) - set(theirs))
+        changed = [n for n, what in troubles.items() if what != "is missing" and stages.covered(n, _tops(stage))]
+        theirs = [n for n in changed if stages.trouble(self.folder / n, self._last(n, ledger), thorough=True)]
+        place = stages.put_aside(self.folder, [n for n in theirs if os.path.lexists(self.folder / n)])
+        stages.take_away(self.folder, set(changed) - set(theirs))
         if troubles:
             said.append(f"{told}: made again" + (f"; the previous files are in {place} now" if place else ""))
         names = [n for n in names if n not in set(changed)]
         if self._other(stage, key) or (troubles and not stage.item):
             if stage.clear is not None:
                 stage.clear(self.folder)
-            take_away(self.folder, names)
+            stages.take_away(self.folder, names)
             ledger = {}
         else:
             # An item is missing if one of its files is; it has one of the same name in each folder of its stage.
-            tails = {n[len(top) :] for n in troubles for top in stage.makes if covered(n, (top,))} - {""}
+            tails = {n[len(top) :] for n in troubles for top in stage.makes if stages.covered(n, (top,))} - {""}
             whole = {f"{top}{tail}" for top in stage.makes for tail in tails} & set(ledger)
-            take_away(self.folder, [*filter(is_temporary, names), *whole])
+            stages.take_away(self.folder, [*filter(is_temporary, names), *whole])
             ledger = {n: e for n, e in ledger.items() if n not in whole}
         # In this order: a finished receipt never exists beside a list without its files.
         self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
@@ -168,16 +155,16 @@ class Artefacts:
         self.end_journal()
         return said
 
-    def finish(self, stage: Stage, key: str, outcome: Outcome, more: dict) -> dict:
+    def finish(self, stage: stages.Stage, key: str, outcome: stages.Outcome, more: dict) -> dict:
         """Remove its scratch files, write the list of the others and then the full receipt."""
         for name in stage.scratch:
             remove(self.folder / name)
-        mine = {*(self.receipts.files(stage.name) or {}), *read_journal(self.folder)}
-        names = _within(files_below(self.folder, stage.makes, self._apart(stage)), mine)
-        files = recorded(self.folder, names)
-        shared = recorded(self.folder, [n for n in stage.changes if (self.folder / n).exists()])
+        mine = {*(self.receipts.files(stage.name) or {}), *stages.read_journal(self.folder)}
+        names = _within(stages.files_below(self.folder, stage.makes, self._apart(stage)), mine)
+        files = stages.recorded(self.folder, names)
+        shared = stages.recorded(self.folder, [n for n in stage.changes if (self.folder / n).exists()])
         self.receipts.write_files(stage.name, {**files, **shared})
-        made = digest_of(files, stage.makes)
+        made = stages.digest_of(files, stage.makes)
         head = {"stage": stage.name, "key": key, "from": self._made_from(stage), "made": made, "version": stage.version}
         receipt = {**head, **more, **dataclasses.asdict(outcome)}
         self.receipts.write(stage.name, receipt)
@@ -188,48 +175,50 @@ class Artefacts:
         """Clear the journal: its names are in the lists, and no worker writes."""
         (self.folder / JOURNAL).unlink(missing_ok=True)
 
-    def _there(self, stage: Stage) -> list[str]:
-        return files_below(self.folder, _tops(stage), self._apart(stage))
+    def _there(self, stage: stages.Stage) -> list[str]:
+        return stages.files_below(self.folder, _tops(stage), self._apart(stage))
 
-    def _apart(self, stage: Stage) -> list[str]:
+    def _apart(self, stage: stages.Stage) -> list[str]:
         """Artefacts of other stages inside this one's."""
         mine = _tops(stage)
-        return [t for s in self._stages if s is not stage for t in _tops(s) if covered(t, mine) and t not in mine]
+        return [
+            t for s in self._stages if s is not stage for t in _tops(s) if stages.covered(t, mine) and t not in mine
+        ]
 
-    def _differences(self, stage: Stage, thorough: bool) -> Iterable[tuple[str, str]]:
+    def _differences(self, stage: stages.Stage, thorough: bool) -> Iterable[tuple[str, str]]:
         shared = {n for s in self._stages if self._changed(s) for n in s.changes}
         old = set() if self._changed(stage) else set(stage.changes)
         for name, entry in (self.receipts.files(stage.name) or {}).items():
             known = [] if name in (shared - set(stage.changes)) | old else entry
-            if what := trouble(self.folder / name, known, thorough):
+            if what := stages.trouble(self.folder / name, known, thorough):
                 yield name, what
 
-    def _last(self, name: str, ledger: Ledger) -> list:
+    def _last(self, name: str, ledger: stages.Ledger) -> list:
         """Last known record of a file, by its maker's list or that of a stage that has changed it; [] during that."""
         for stage in (s for s in self._stages if name in s.changes and self._changed(s)):
             done = "key" in self.receipts.read(stage.name)
             ledger = (self.receipts.files(stage.name) or {}) if done else {}
         return ledger.get(name, [])
 
-    def _changed(self, stage: Stage) -> bool:
+    def _changed(self, stage: stages.Stage) -> bool:
         """Whether a stage has changed the present files of others: their makers have not made them again since."""
         before, now = self.receipts.read(stage.name).get("from", {}), self._made_from(stage)
         return bool(before) and all(before.get(m) == now.get(m) for m in map(self._maker, stage.changes))
 
     def _maker(self, name: str) -> str:
         """The stage that makes a file; "" for none."""
-        found = [(len(top), s.name) for s in self._stages for top in _tops(s) if covered(name, (top,))]
+        found = [(len(top), s.name) for s in self._stages for top in _tops(s) if stages.covered(name, (top,))]
         return max(found)[1] if found else ""
 
-    def _made_from(self, stage: Stage) -> dict[str, str | None]:
+    def _made_from(self, stage: stages.Stage) -> dict[str, str | None]:
         return {need: self.receipts.read(need).get("made") for need in stage.needs}
 
-    def _other(self, stage: Stage, key: str) -> bool:
+    def _other(self, stage: stages.Stage, key: str) -> bool:
         receipt = self.receipts.read(stage.name)
         return receipt.get("key", receipt.get("began")) != key or receipt.get("from") != self._made_from(stage)
 
 
-def _tops(stage: Stage) -> tuple[str, ...]:
+def _tops(stage: stages.Stage) -> tuple[str, ...]:
     return (*stage.makes, *stage.scratch)
 
 

@@ -1,16 +1,19 @@
 """Where work runs. The interface is the standard library's ``concurrent.futures.Executor``: engines never see it."""
 
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from tiegraph.child import Helpers, cores, from_outside, how_ended
-from tiegraph.errors import ProcessLost, SettingsError
+from tiegraph.errors import InputError, ProcessLost, SettingsError, optional
 from tiegraph.forking import keep_memory
 from tiegraph.project.progress import Elsewhere
 
@@ -112,8 +115,6 @@ def open_pool(spec: str, place: Place | None = None) -> tuple[Executor, int]:
         count = int(argument or cores())
         return LocalPool(count, threads=max(1, cores() // count)), count
     if name == "slurm":
-        from tiegraph.project.queuepool import open_slurm
-
         return open_slurm(int(argument), place)
     from tiegraph.project.daskpool import open_dask
 
@@ -224,3 +225,53 @@ def _why_lost(executor: Executor, error: BrokenProcessPool) -> str:
 def _run_chunk(call: tuple[Callable[..., Any], tuple], chunk: Sequence[Any]) -> list[Any]:
     function, args = call
     return [function(item, *args) for item in chunk]
+
+
+def open_slurm(jobs: int, place: Place | None) -> tuple[Executor, int]:
+    """(executor, number of workers at first) of a scheduler in this process, once a job has begun, which may take the
+    queue hours. SLURM starts the workers as jobs, by dask-jobqueue, whose own file ``~/.config/dask/jobqueue.yaml``
+    describes a job (cores, memory, queue, walltime).
+
+    Raises EngineMissing without dask-jobqueue, SettingsError if its file does not say what a job is, InputError if
+    `sbatch` takes none, and as ``open_dask``.
+    """
+    from tiegraph.project.daskpool import Quiet, open_dask
+
+    stopping = signal.getsignal(signal.SIGINT)
+    jobqueue, config = optional("dask_jobqueue", "slurm", "the pool slurm"), import_module("dask").config
+    signal.signal(signal.SIGINT, stopping)  # dask-jobqueue's own handler would end the run without a word
+    try:
+        # A worker makes one item at a time: as many as there are cores
+        cluster = jobqueue.SLURMCluster(processes=config.get("jobqueue.slurm.cores", None) or 1)
+    except ValueError as error:
+        raise SettingsError(
+            f"pool slurm: {error} Say so in ~/.config/dask/jobqueue.yaml, below jobqueue, slurm: cores, memory, "
+            "queue, walltime"
+        ) from None
+
+    async def submit() -> None:
+        cluster.scale(jobs=jobs)
+        await cluster
+
+    quiet = Quiet()
+    try:
+        cluster.sync(submit)
+        if place is not None and place.say is not None:
+            what = "1 job" if jobs == 1 else f"{jobs} jobs"
+            place.say(f"pool slurm: {what} submitted; the run begins when the queue starts the first (squeue shows it)")
+        while not cluster.scheduler_info["workers"]:
+            time.sleep(1.0)  # between two looks whether the queue has started a job
+    except BaseException as error:
+        with suppress(AssertionError):  # that every job was begun
+            cluster.close()
+        if isinstance(error, (OSError, RuntimeError)):
+            said = " ".join(str(error).split())
+            raise InputError(f"pool slurm: no job could be submitted, is sbatch here? ({said})") from None
+        raise
+    finally:
+        quiet.end()
+    try:
+        return open_dask(cluster.scheduler_address, place, cluster.close)
+    except BaseException:
+        cluster.close()
+        raise

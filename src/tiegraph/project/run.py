@@ -21,6 +21,7 @@ from tiegraph.project.pool import LocalPool, Place, check_pool, map_items, open_
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.stages import Receipts, Stage, engines, key_parts, needed, software, stage_keys
 from tiegraph.scene.bags import source_of
+from tiegraph.text import counted
 
 log = logging.getLogger("tiegraph")
 
@@ -310,12 +311,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
 
 
 def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
-    def short(value: Any) -> str:
-        if isinstance(value, float) and not value.is_integer():
-            return f"{value:.3g}"
-        return f"{int(value)}" if isinstance(value, (int, float)) else str(value)
-
-    counts = ", ".join(f"{short(v)} {k.replace('_', ' ')}" for k, v in receipt["counts"].items())
+    counts = counted(receipt["counts"])
     reporter.say(f"{stage.name:>9}  {receipt['seconds']:7.1f} s  {receipt['peak_mib']:6.0f} MiB  {counts}")
     for note in receipt["notes"]:
         reporter.say(f"{'':>9}  . {note}")

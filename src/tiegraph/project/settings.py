@@ -1,6 +1,5 @@
 """All settings of a run: one section a stage. Precedence: defaults < preset < tiegraph.toml < command line."""
 
-import difflib
 import sys
 from collections.abc import Iterable
 from functools import cache
@@ -42,6 +41,7 @@ from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 from tiegraph.stations.tuning import Tuning as StationsTuning
 from tiegraph.targets.tuning import Tuning as TargetsTuning
+from tiegraph.text import meant
 from tiegraph.watch.tuning import Tuning as WatchTuning
 
 if sys.version_info >= (3, 11):
@@ -122,8 +122,7 @@ def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Setti
     for layer in layers:
         for section, values in layer.items():
             if not isinstance(values, dict):
-                near = difflib.get_close_matches(section, list(Settings.model_fields), n=1) or ["masks"]
-                name = section if section in Settings.model_fields else near[0]
+                name = section if section in Settings.model_fields else "masks"
                 raise SettingsError(
                     f"{where}: {section!r} must be a section such as [{name}], and is {shortened(values)}"
                 )
@@ -187,8 +186,8 @@ def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
     for name, value in run.items():
         if name not in RUN_KEYS:
             own = next((s for s, fields in sections() if name in fields), "")
-            remedy = f"it is the setting {name} of [{own}]" if own else _meant(name, RUN_KEYS, "?")
-            raise SettingsError(f"{where}: unknown name {name!r} in [run]: {remedy}")
+            remedy = f": it is the setting {name} of [{own}]" if own else _meant(name, RUN_KEYS)
+            raise SettingsError(f"{where}: unknown name {name!r} in [run]{remedy}")
         if not isinstance(value, str) or not value.strip() or "\0" in value:
             raise SettingsError(
                 f"{where}: run.{name} = {shortened(value)}: give a path or name in quotes, or remove it"
@@ -205,9 +204,8 @@ def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
     for key in keys:
         name = key.replace("-", "_")
         if name not in places:
-            near = difflib.get_close_matches(name, list(places), n=1)
-            hint = f"; perhaps you meant {near[0]!r}?" if near else ""
             inputs = ", ".join(n for n in places if n not in settings)
+            hint = meant(name, places)
             raise SettingsError(f"--unset {key}: neither one of {inputs} nor a setting such as masks.folder{hint}")
         section, entry = places[name]
         if isinstance(out.get(section), dict):
@@ -256,12 +254,11 @@ def explain(error: Any, root: type[Section]) -> str:
     fields: Any = root
     for part in where[:-1]:
         fields = fields.model_fields[part].annotation
-    return f"unknown setting {name!r}: {_meant(where[-1], fields.model_fields)}"
+    return f"unknown setting {name!r}{_meant(where[-1], fields.model_fields)}"
 
 
-def _meant(name: str, known: Iterable[str], mark: str = "") -> str:
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f"perhaps you meant {near[0]!r}{mark}" if near else f"known are {', '.join(known)}"
+def _meant(name: str, known: Iterable[str]) -> str:
+    return meant(name, known) or f": known are {', '.join(known)}"
 
 
 class VerbTunings(Tunings):

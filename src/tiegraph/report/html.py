@@ -1,6 +1,10 @@
-"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer."""
+"""report.html: one self-contained file from receipts and artefacts only, for the client first, then the engineer. And
+report.pdf: the page printed by a headless browser, because nothing else lays it out as it is read."""
 
+import os
 import re
+import shutil
+import subprocess
 from datetime import datetime, timezone
 from functools import cache
 from pathlib import Path
@@ -10,26 +14,16 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from tiegraph.report import accuracy, formatting, maps, summary
+from tiegraph.errors import EngineMissing, InputError
+from tiegraph.report import accuracy, formatting, maps, parts, summary
 from tiegraph.report.client import client_page, json_text
 from tiegraph.report.cloudview import viewer_part, views
 from tiegraph.report.drawing import ALERT, CLASSES, Series, arrows, mask_share, pass_colour, plot, thumbnail
 from tiegraph.report.network import network_part
-from tiegraph.report.parts import (
-    cloud_facts,
-    effort,
-    evaluation,
-    evidence_table,
-    gsd,
-    passes_part,
-    product_views,
-    receipt_tables,
-    rig_table,
-)
 from tiegraph.report.runfolder import Model, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.texts import capital, current, language, said, t
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.scene import Scene
 from tiegraph.text import printable
 
@@ -108,8 +102,8 @@ def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table |
             "network": network_part(run),
             "model": _model(run),
             "planned": planned,
-            "evaluation": evaluation(run),
-            "effort": effort(run),
+            "evaluation": parts.evaluation(run),
+            "effort": parts.effort(run),
             "glossary": [(t(word), t(meaning)) for word, meaning in _WORDS.items()],
             **_space(run, seen, settings),
         }
@@ -141,11 +135,11 @@ def _shown(value: str) -> str:
 
 def _how_sure(run: RunFolder) -> dict[str, Any]:
     """Every accuracy with what it does not prove, the statement of each source, and unknown values."""
-    out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run), "without": []}
+    out: dict[str, Any] = {"table": None, "placement": "", "evidence": parts.evidence_table(run), "without": []}
     if run.accuracy is None:
         return out | {"passes": {"table": None, "map": None}}
     out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
-    out |= {"without": accuracy.without(run.accuracy), "passes": passes_part(run)}
+    out |= {"without": accuracy.without(run.accuracy), "passes": parts.passes_part(run)}
     if run.scene is not None and len(run.scene.sequences) > 1 and out["passes"]["table"] is None:
         text = "The clouds of the passes were not compared with each other, which takes depth maps of two that "
         out["without"].append(t(text + "meet (`tiegraph cloud` does it): an error of one pass may be hidden."))
@@ -164,7 +158,7 @@ def _scan(run: RunFolder) -> dict[str, Any]:
             (t("passes"), t(", ").join(scene.sequences[:12]) or t("none: loose photographs")),
             (t("prior poses"), _prior(scene)),
         ]
-    more, tables = max(0, len(dropped) - _DROPPED_SHOWN), receipt_tables(run, "scan")
+    more, tables = max(0, len(dropped) - _DROPPED_SHOWN), parts.receipt_tables(run, "scan")
     return {"facts": facts, "notes": notes, "dropped": dropped[:_DROPPED_SHOWN], "more": more, "tables": tables}
 
 
@@ -205,7 +199,7 @@ def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
         "any": any(s["share"] is not None for s in strips),
         "classes": [(t(name), colour) for name, colour in classes],
         "notes": run.notes("masks", "refine"),
-        "tables": receipt_tables(run, "masks", "refine"),
+        "tables": parts.receipt_tables(run, "masks", "refine"),
     }
 
 
@@ -234,10 +228,10 @@ def _model(run: RunFolder) -> dict[str, Any]:
     notes = [*run.notes("sparse", "georef"), *map(str, (run.world or {}).get("notes") or [])]
     out: dict[str, Any] = {"there": run.model is not None, "facts": [], "residuals": None, "lenses": []}
     out |= {"notes": list(dict.fromkeys(notes))}
-    out |= {"tables": receipt_tables(run, "georef"), "more": receipt_tables(run, "sparse")}
+    out |= {"tables": parts.receipt_tables(run, "georef"), "more": parts.receipt_tables(run, "sparse")}
     if run.model is None:
         return out
-    rig = rig_table(run)
+    rig = parts.rig_table(run)
     out["tables"] += [*summary.registered_tables(run), *([rig] if rig else [])]
     return out | {"facts": _model_facts(run, run.model), "residuals": _residuals(run), "lenses": _lenses(run.model)}
 
@@ -257,7 +251,7 @@ def _model_facts(run: RunFolder, m: Model) -> list[tuple[str, str]]:
     explained = run.counts("sparse").get("matches_explained_percent")
     if explained is not None and formatting.is_number(explained):
         out.append((t("verified matches that the model explains"), formatting.percent(explained / 100)))
-    texts = [formatting.length(v, "m" if run.metric else t("units")) for v in gsd(run) or ()]
+    texts = [formatting.length(v, "m" if run.metric else t("units")) for v in parts.gsd(run) or ()]
     name = t("a pixel on the surface (nearest tenth, half, nine in ten images)")
     return [*out, (name, t(", ").join(texts))] if texts else out
 
@@ -286,13 +280,13 @@ def _residuals(run: RunFolder) -> Markup | None:
     track = np.array([scene.sequence[f] if 0 <= f < scene.frames else -1 for f in frames])
     used = np.array([bool(r.get("inlier", True)) for r in rows])
     off = np.array([r["residual_m"] for r in rows], float)
-    parts = [
+    groups = [
         (scene.sequences[k] if k >= 0 else t("frames"), pass_colour(k), used & (track == k))
         for k in np.unique(track).tolist()
     ]
-    parts = [part for part in [*parts, (t("outlier"), ALERT, ~used)] if part[2].any()]
+    groups = [group for group in [*groups, (t("outlier"), ALERT, ~used)] if group[2].any()]
     panels = [
-        (name, [Series(name=n, colour=k, x=frames[of], y=off[of, c], joined=False) for n, k, of in parts])
+        (name, [Series(name=n, colour=k, x=frames[of], y=off[of, c], joined=False) for n, k, of in groups])
         for c, name in enumerate((t("east, m"), t("north, m"), t("up, m")))
     ]
     return plot(panels, t("frame"), t("Fit to the given positions"))
@@ -300,11 +294,52 @@ def _residuals(run: RunFolder) -> Markup | None:
 
 def _space(run: RunFolder, seen: maps.Scenery | None, settings: ReportSettings) -> dict[str, Any]:
     out: dict[str, Any] = {"overlap": None, "ellipses": None, "views": [], "viewer": None, "viewer_script": ""}
-    out["cloud"] = cloud_facts(run)
+    out["cloud"] = parts.cloud_facts(run)
     if seen is None:
         return out
     out |= {"overlap": maps.overlap_map(seen), "ellipses": maps.ellipse_map(run, seen)}
     return out | {
-        "views": [*views(run, seen), *product_views(run)],
+        "views": [*views(run, seen), *parts.product_views(run)],
         **viewer_part(run, seen, settings.viewer_points),
     }
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
+_BEGIN = b"%PDF"
+_REMEDY = "open it in a browser and print it to a file there"
+
+
+def find_browser() -> str:
+    """Path of a browser that prints. Raises EngineMissing with the remedy if there is none."""
+    for name in BROWSERS:
+        found = shutil.which(name)
+        if found:
+            return found
+    raise EngineMissing(
+        f"--pdf needs a browser of the Chromium family, and none of {', '.join(BROWSERS)} is on the PATH: install one, "
+        "or open report.html in any browser and print it to a file there"
+    )
+
+
+def print_pdf(page: Path, target: Path) -> None:
+    """Write ``target`` as the browser prints ``page``.
+
+    Raises EngineMissing without a browser or if it prints nothing, InputError if ``target`` exists and is no PDF.
+    """
+    browser = find_browser()
+    if target.exists() and (not target.is_file() or target.read_bytes()[:4] != _BEGIN):
+        raise InputError(f"{target} exists and is no PDF: move it away, and run the same again")
+    with scratch_folder() as scratch, replacing(target) as temporary:
+        made = scratch / "report.pdf"
+        command = [browser, "--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={scratch}/profile"]
+        command.append("--no-pdf-header-footer")
+        if hasattr(os, "geteuid") and os.geteuid() == 0:  # Chromium refuses its sandbox to root
+            command.append("--no-sandbox")
+        command += [f"--print-to-pdf={made}", page.resolve().as_uri()]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=120.0, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise EngineMissing(f"{browser} did not print {page.name} ({error}): {_REMEDY}") from None
+        if not made.is_file() or made.read_bytes()[:4] != _BEGIN:
+            raise EngineMissing(f"{browser} did not print {page.name} (exit code {done.returncode}): {_REMEDY}")
+        shutil.copyfile(made, temporary)

@@ -14,20 +14,7 @@ from scipy import ndimage
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.gravity import levelled
-from tiegraph.report.drawing import (
-    WIDTH,
-    clipped,
-    dots,
-    legend,
-    line,
-    pass_colour,
-    picture,
-    png,
-    rgb_of,
-    shown_colours,
-    svg,
-    text,
-)
+from tiegraph.report import drawing
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.texts import t
 from tiegraph.scene.scene import Scene, between_neighbours
@@ -87,7 +74,7 @@ class Place:
     @property
     def zoom(self) -> float:
         """Units of the drawing for one of the world."""
-        return WIDTH / float(self.high[0] - self.low[0])
+        return drawing.WIDTH / float(self.high[0] - self.low[0])
 
     @property
     def height(self) -> float:
@@ -160,7 +147,7 @@ def scenery(run: RunFolder) -> Scenery | None:
 def survey_map(seen: Scenery) -> Markup:
     """The survey area: the passes over the cloud from above."""
     rising = np.argsort(seen.xyz[:, 2], kind="stable")
-    colours = shown_colours(seen.xyz, seen.rgb)
+    colours = drawing.shown_colours(seen.xyz, seen.rgb)
     backdrop = _raster(seen.place, seen.xyz[rising], colours[rising], _PIXELS) if len(rising) else ""
     return _passes(seen, seen.given, backdrop)
 
@@ -172,7 +159,7 @@ def overlap_map(seen: Scenery) -> Markup | None:
     place = seen.place
     middle, value = _median_cells(place, seen.xyz, seen.views, _CELLS)
     low = [k for k, _ in _OVERLAP]
-    colours = np.array([rgb_of(c) for _, c in _OVERLAP], np.uint8)
+    colours = np.array([drawing.rgb_of(c) for _, c in _OVERLAP], np.uint8)
     step = np.clip(np.searchsorted(low, value, side="right") - 1, 0, None)
     key = [(t("{} images", f"{a}–{b - 1}" if b - a > 1 else a), c) for (a, c), (b, _) in zip(_OVERLAP, _OVERLAP[1:])]
     key.append((t("{} and more", _OVERLAP[-1][0]), _OVERLAP[-1][1]))
@@ -200,16 +187,19 @@ def ellipse_map(run: RunFolder, seen: Scenery) -> tuple[Markup, str] | None:
 def _passes(seen: Scenery, given: np.ndarray, backdrop: str, ellipses: Sequence[str] = ()) -> Markup:
     """The passes over a backdrop (data URI, "" for none), missing frames and given positions, and further drawings."""
     place = seen.place
-    parts = [dots(place.at(given), "var(--soft)", 2.5)]
+    parts = [drawing.dots(place.at(given), "var(--soft)", 2.5)]
     for k, track in enumerate(seen.tracks):
         at = place.at(track.positions[:, :2])
-        parts += [line(at, pass_colour(k), "way") if track.name != "images" else "", dots(at, pass_colour(k), 4)]
+        parts += [
+            drawing.line(at, drawing.pass_colour(k), "way") if track.name != "images" else "",
+            drawing.dots(at, drawing.pass_colour(k), 4),
+        ]
     missing = np.concatenate([np.zeros((0, 3)), *(track.missing for track in seen.tracks)])
     for x, y in place.at(missing):
         for side in (4, -4):
-            parts.append(line([(x - 4, y - side), (x + 4, y + side)], "var(--alert)"))
+            parts.append(drawing.line([(x - 4, y - side), (x + 4, y + side)], "var(--alert)"))
     names = (t("images") if track.name == "images" else track.name for track in seen.tracks[:8])
-    key = [(name, pass_colour(k)) for k, name in enumerate(names)]
+    key = [(name, drawing.pass_colour(k)) for k, name in enumerate(names)]
     if len(given):
         inside = np.all((given[:, :2] >= place.low) & (given[:, :2] <= place.high), axis=1)
         outside = t(" ({} of {} outside the map)", int(np.sum(~inside)), len(given)) if not inside.all() else ""
@@ -220,9 +210,9 @@ def _passes(seen: Scenery, given: np.ndarray, backdrop: str, ellipses: Sequence[
 
 def _drawn(seen: Scenery, uri: str, key: Sequence[tuple[str, str]], label: str, parts: Iterable[str] = ()) -> Markup:
     place = seen.place
-    drawn, height = legend(key, place.height + 18)
-    below = clipped(place.height, [picture(uri, 0, WIDTH, place.height), *parts])
-    return svg(height, [below, _scale_bar(place), _north_arrow() if seen.north else "", drawn], label)
+    drawn, height = drawing.legend(key, place.height + 18)
+    below = drawing.clipped(place.height, [drawing.picture(uri, 0, drawing.WIDTH, place.height), *parts])
+    return drawing.svg(height, [below, _scale_bar(place), _north_arrow() if seen.north else "", drawn], label)
 
 
 def _raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int) -> str:
@@ -230,22 +220,22 @@ def _raster(place: Place, xy: np.ndarray, rgb: np.ndarray, pixels: int) -> str:
     inside, cell, size = _cells_of(place, xy, pixels)
     out = np.zeros((size[1] * size[0], 4), np.uint8)
     out[cell] = np.column_stack([rgb[inside], np.full(len(cell), 255)])
-    return png(out.reshape(size[1], size[0], 4))
+    return drawing.png(out.reshape(size[1], size[0], 4))
 
 
 def _median_cells(place: Place, xy: np.ndarray, values: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray]:
     """(K, 2) middles in the world of the cells, ``pixels`` across, that points lie in, and their median values (K,)."""
     inside, cell, size = _cells_of(place, xy, pixels)
     found = np.unique(cell)
-    middle = np.column_stack([found % size[0] + 0.5, -(found // size[0] + 0.5)]) * (WIDTH / pixels) / place.zoom
+    middle = np.column_stack([found % size[0] + 0.5, -(found // size[0] + 0.5)]) * (drawing.WIDTH / pixels) / place.zoom
     median = ndimage.median(values[inside], cell, found) if len(found) else np.zeros(0)
     return middle + [place.low[0], place.high[1]], np.asarray(median)
 
 
 def _cells_of(place: Place, xy: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     """Which points lie on the map (N,), the numbers of their cells (K,), and how many cells there are each way."""
-    column, row = np.floor(place.at(xy) * (pixels / WIDTH)).astype(int).T
-    size = pixels, max(1, round(place.height * pixels / WIDTH))
+    column, row = np.floor(place.at(xy) * (pixels / drawing.WIDTH)).astype(int).T
+    size = pixels, max(1, round(place.height * pixels / drawing.WIDTH))
     inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
     return inside, (row * size[0] + column)[inside], size
 
@@ -260,18 +250,18 @@ def _ellipse(place: Place, centre: np.ndarray, covariance: np.ndarray, factor: f
 
 
 def _scale_bar(place: Place) -> str:
-    length = round_below(0.25 * WIDTH / place.zoom)
+    length = round_below(0.25 * drawing.WIDTH / place.zoom)
     x, y, end = 12.0, place.height - 12, 12 + length * place.zoom
     unit = place.unit.removesuffix("s") if length == 1 else place.unit
-    bar = line([(x, y - 5), (x, y), (end, y), (end, y - 5)], look="bar")
-    return _halo(12, place.height - 42, max(end, 70) - 6, 36) + bar + text(x, y - 9, f"{length:g} {unit}")
+    bar = drawing.line([(x, y - 5), (x, y), (end, y), (end, y - 5)], look="bar")
+    return _halo(12, place.height - 42, max(end, 70) - 6, 36) + bar + drawing.text(x, y - 9, f"{length:g} {unit}")
 
 
 def _north_arrow() -> str:
     """At the upper right; up is north."""
-    x = WIDTH - 20
+    x = drawing.WIDTH - 20
     arrow = f'<path d="M{x} 8l7 20l-7 -5l-7 5z" class="solid"/>'
-    return _halo(x - 12, 4, 24, 42) + arrow + text(x, 42, "N", "middle")
+    return _halo(x - 12, 4, 24, 42) + arrow + drawing.text(x, 42, "N", "middle")
 
 
 def _halo(x: float, y: float, width: float, height: float) -> str:

@@ -1,6 +1,5 @@
 """The sensor, pass and frame of each image: by the rig file, a preset, or a guess; and which were taken together."""
 
-import difflib
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -34,7 +33,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import Probe
-from tiegraph.text import some
+from tiegraph.text import meant, some
 
 
 @dataclass(frozen=True)
@@ -189,11 +188,10 @@ def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | No
                 f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image has such a "
                 f"name; names here are like {names[0]}. Correct folder, or remove the sensor from the file"
             )
-        near = difflib.get_close_matches(sensor.folder or "", there, n=1)
-        hint = f" Perhaps you meant {near[0]!r}?" if near else ""
         raise InputError(
             f"{file}: sensor {sensor.name!r}: no usable image below a folder {sensor.folder!r}; folders here: "
-            f"{', '.join(there) or 'none'}.{hint} Correct folder, or remove the sensor from the file"
+            f"{', '.join(there) or 'none'}{meant(sensor.folder or '', there)} (correct folder, or remove the sensor "
+            "from the file)"
         )
 
 

@@ -4,7 +4,6 @@ COLMAP's list of image pairs as a user input. And observations: the points of a 
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from tiegraph.scene.results import table
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Arrays, Columns, blocks, freeze, spread, unite
 from tiegraph.scene.textfile import delimiter_of_rows, filled_lines, split_cells, text_of
-from tiegraph.text import csv_text
+from tiegraph.text import csv_text, meant
 
 SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model", "plugin")
 # Why a pair was dropped, in the order of the filters: words and colour for reports and pictures.
@@ -369,8 +368,6 @@ def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
 def _image_of(name: str, place: str, scene: Scene) -> int:
     if name in scene.image_index:
         return scene.image_index[name]
-    near = difflib.get_close_matches(name, scene.names, n=1, cutoff=0.3)
-    hint = f"; perhaps {near[0]!r}?" if near else ""
     lost = next((d.reason for d in scene.dropped if d.name == name), None)
-    why = f" (left out by scan: {lost})" if lost else hint
+    why = f" (left out by scan: {lost})" if lost else meant(name, scene.names, 0.3)
     raise InputError(f"{place}: the survey has no image {name!r}{why}")

@@ -127,7 +127,7 @@ class Metric:
     name: str
     value: float
     unit: str
-    better: str
+    better: str = "low"
     target: float = float("nan")
 
 

@@ -1,7 +1,7 @@
 """On site: images are followed while they are taken (paper 003: the acquisition confirmed on site).
 
-``arrivals`` hands out files once they are whole. ``frames`` places them in the survey's coarse model by their ties to
-images that have a pose. ``view`` makes of poses, ties and the map of the surface what ``page.html`` draws, and
+``frames`` hands out files once they are whole, and places them in the survey's coarse model by their ties to images
+that have a pose. ``view`` makes of poses, ties and the map of the surface what ``page.html`` draws, and
 hands both to browsers of this machine.
 
 Of the engines that exist, measured on ``canal`` (640 x 480, six cameras, CPU of one core): an image with its preview

@@ -2,9 +2,9 @@
 how well two passes of one survey agree, which needs no reference, and the map of differences.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -53,7 +53,7 @@ class CloudJudgement:
         """The figures of merit."""
         found = self.differences.summary()
         named = {"m3c2_median": "median m", "m3c2_spread": "spread m"}
-        more = [Metric(name=n, value=found.get(k, np.nan), unit="m", better="low") for n, k in named.items()]
+        more = [Metric(n, found.get(k, np.nan), "m") for n, k in named.items()]
         return [*self.nearest.metrics(), *more]
 
     def tables(self) -> dict[str, dict]:
@@ -123,9 +123,9 @@ class PassAgreement:
     differences (``Differences.summary``); ``why_not``: why nothing could be compared.
     """
 
-    passes: tuple[str, str]
-    maps: tuple[int, int]
-    there: tuple[int, int]
+    passes: Sequence[str]
+    maps: Sequence[int]
+    there: Sequence[int]
     found: Mapping[str, Mapping[str, float]]
     why_not: str = ""
 
@@ -144,8 +144,7 @@ class PassAgreement:
         """The figures of merit."""
         whole = self.found.get(_WHOLE, {})
         named = (("median", "median m", "m"), ("spread", "spread m", "m"), ("significant", "significant %", "%"))
-        known = (row for row in named if row[1] in whole)
-        return [Metric(name=f"passes_{n}", value=whole[of], unit=unit, better="low") for n, of, unit in known]
+        return [Metric(f"passes_{n}", whole[of], unit) for n, of, unit in named if of in whole]
 
     def tables(self) -> dict[str, dict]:
         """The table for metrics.json: by section where there are several."""
@@ -167,16 +166,6 @@ class PassAgreement:
             "the passes agree in pose and depth. It does not tell what both share: place, scale, cameras, what "
             "matching got wrong in both; and a depth map of one pass may have been confirmed by images of the other."
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> "PassAgreement":
-        """Inverse of ``to_dict``."""
-        pairs = {name: tuple(data[name]) for name in ("passes", "maps", "there")}
-        return PassAgreement(**pairs, found=data["found"], why_not=data["why_not"])
 
 
 def by_section(found: Differences, cameras: Cameras) -> dict[str, dict[str, float]]:

@@ -218,43 +218,29 @@ COLUMNS = ("change", "x", "y", "z", "core points", "area m2", "mean m", "largest
 
 
 @dataclass(frozen=True)
-class Change:
-    """A connected piece of surface that moved one way: its middle (3,), number of core points, area, mean and largest
-    difference (+: towards the cameras, or up), and volume (area times difference)."""
-
-    middle: np.ndarray
-    cores: int
-    area_m2: float
-    mean_m: float
-    largest_m: float
-    volume_m3: float
-
-
-@dataclass(frozen=True)
 class Changes:
-    """The changes, largest volume first, and areas of what was compared, called significant, and listed."""
+    """Connected pieces of surface that moved one way, largest volume first, and areas of what was compared and called
+    significant. ``listed``: middle (3), number of core points, area, mean and largest difference (+: towards the
+    cameras, or up), and volume (area times difference) of each."""
 
-    listed: tuple[Change, ...]
+    listed: tuple[tuple[float, ...], ...]
     compared_m2: float
     significant_m2: float
 
     def totals(self) -> dict[str, float]:
         """Areas in m2 and volumes in m3."""
-        volumes = np.array([c.volume_m3 for c in self.listed])
+        volumes = np.array([row[-1] for row in self.listed])
         return {
             "compared_m2": self.compared_m2,
             "significant_m2": self.significant_m2,
-            "changed_m2": sum(c.area_m2 for c in self.listed),
+            "changed_m2": sum(row[4] for row in self.listed),
             "gain_m3": float(volumes[volumes > 0].sum()),
             "loss_m3": -float(volumes[volumes < 0].sum()),
         }
 
     def table(self, shift: np.ndarray, most: int) -> dict:
         """The largest changes at most; ``shift`` (3,) is added to their places."""
-        rows = [
-            [k, *(c.middle + shift).tolist(), c.cores, c.area_m2, c.mean_m, c.largest_m, c.volume_m3]
-            for k, c in enumerate(self.listed[:most], 1)
-        ]
+        rows = [[k, *(row[:3] + shift).tolist(), *row[3:]] for k, row in enumerate(self.listed[:most], 1)]
         return {"columns": list(COLUMNS), "rows": rows}
 
 
@@ -276,15 +262,8 @@ def changes(found: Differences) -> Changes:
     label = graph.parts(i[alike], j[alike], len(where))
     for piece in (where[label == k] for k in np.flatnonzero(np.bincount(label) >= 12)):
         own, a = distance[piece], area[piece]
-        out.append(
-            Change(
-                middle=np.median(xyz[piece], axis=0),
-                cores=len(piece),
-                area_m2=float(a.sum()),
-                mean_m=float(np.average(own, weights=a)),
-                largest_m=float(own[np.argmax(np.abs(own))]),
-                volume_m3=float(a @ own),
-            )
-        )
-    out.sort(key=lambda c: -abs(c.volume_m3))
+        mean, largest = float(np.average(own, weights=a)), float(own[np.argmax(np.abs(own))])
+        middle = np.median(xyz[piece], axis=0).tolist()
+        out.append((*middle, len(piece), float(a.sum()), mean, largest, float(a @ own)))
+    out.sort(key=lambda row: -abs(row[-1]))
     return Changes(listed=tuple(out), compared_m2=float(area.sum()), significant_m2=float(area[loud].sum()))

@@ -126,14 +126,13 @@ class CloudComparison:
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
-        out = [
-            Metric(name="cloud_to_cloud_median", value=self.whole.median_m, unit="m", better="low"),
-            Metric(name="cloud_to_cloud_90", value=self.whole.p90_m, unit="m", better="low"),
-            Metric(name="ghosts", value=100 * self.whole.ghosts, unit="%", better="low", target=0.0),
+        scores = zip(self.criteria.distances_m, self.whole.fscore)
+        return [
+            Metric("cloud_to_cloud_median", self.whole.median_m, "m"),
+            Metric("cloud_to_cloud_90", self.whole.p90_m, "m"),
+            Metric("ghosts", 100 * self.whole.ghosts, "%", target=0.0),
+            *(Metric(f"fscore_{d:g}m", 100 * f, "%", better="high", target=100.0) for d, f in scores),
         ]
-        for d, f in zip(self.criteria.distances_m, self.whole.fscore):
-            out.append(Metric(name=f"fscore_{d:g}m", value=100 * f, unit="%", better="high", target=100.0))
-        return out
 
     def tables(self) -> dict[str, dict]:
         """Tables for metrics.json."""

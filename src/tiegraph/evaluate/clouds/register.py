@@ -148,8 +148,7 @@ def _equations(
     n, from_middle = normal[at[met]], xyz[met] - middle
     residual = np.einsum("ij,ij->i", n, np.asarray(tree.data)[at[met]] - xyz[met])
     sigma = robust_sigma(residual - np.median(residual)) + 1e-12
-    # Tukey's function, 95 % efficient
-    weight = np.square(np.clip(1 - np.square(residual / (4.685 * sigma)), 0, None))
+    weight = np.square(np.clip(1 - np.square(residual / (_TUKEY * sigma)), 0, None))
     growth = np.einsum("ij,ij->i", n, from_middle)
     design = np.column_stack([np.cross(from_middle, n), n, growth])[:, : len(unit)] * unit
     cell = np.floor(from_middle * (_CELLS / np.ptp(from_middle, axis=0).max())).astype(int)

@@ -44,11 +44,12 @@ from tiegraph.scan.rigfiles.cameraread import (
     size_of,
     zero,
 )
-from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, is_number, lens_fault, nearest
+from tiegraph.scan.rigfiles.rigfaults import MAX_SIDE_PX, MODELS, count_fault, faults, is_number, lens_fault
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec, SensorSpec
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.textfile import Element, parse_xml, text_lines, utf8_text
+from tiegraph.text import meant
 
 PROGRAMS = (
     "COLMAP's cameras.txt or cameras.bin, OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's "
@@ -87,7 +88,7 @@ def in_words(words: list[str], where: str, remedy: str) -> FoundCamera:
     """A camera of a model, optionally a size, and its parameters. Raises InputError, ending with ``remedy``."""
     model, rest = words[0].upper(), words[1:]
     if model not in MODELS:
-        raise InputError(f"{where}: no file, and {words[0]!r} is no camera model{nearest(model, MODELS)}; {remedy}")
+        raise InputError(f"{where}: no file, and {words[0]!r} is no camera model{meant(model, MODELS, 0.5)}; {remedy}")
     size = re.fullmatch(r"(\d+)[xX](\d+)", rest[0]) if rest else None
     if size:
         rest = rest[1:]

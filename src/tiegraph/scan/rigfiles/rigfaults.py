@@ -1,6 +1,5 @@
 """Faults of a rig: wrong keys and values of its file, and impossible sizes, sigmas and lenses."""
 
-import difflib
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,6 +15,7 @@ from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigfiles.rigspec import UNIT, RigSpec
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair, on_plane
+from tiegraph.text import meant
 
 MAX_SIDE_PX = 100_000  # of an image in a rig file
 MODELS = tuple(m for m in pycolmap.CameraModelId.__members__ if m not in ("INVALID", "EQUIRECTANGULAR"))
@@ -55,8 +55,8 @@ class Part:
         """Raise InputError for a key that is not valid, with a near match."""
         for key in self.data:
             if key not in valid:
-                hint = nearest(key, valid, 0.6)
-                raise self.fail(key, f"unknown key {key!r} in {where}{hint} (valid: {', '.join(valid)})")
+                said = f"unknown key {key!r} in {where}{meant(key, valid)} (valid: {', '.join(valid)})"
+                raise self.fail(key, said)
 
     def numbers(self, key: str, count: int = 0) -> tuple[float, ...] | None:
         """A list of finite numbers, with the given count if any; None if the key is not there."""
@@ -81,7 +81,7 @@ class Part:
         value = self.data.get(key, valid[0])
         if value not in valid or isinstance(value, bool) != isinstance(valid[0], bool):
             words = ", ".join(str(v).lower() if isinstance(v, bool) else str(v) for v in valid)
-            raise self.fail(key, f"{key} = {value!r}: valid are {words}{nearest(value, valid)}")
+            raise self.fail(key, f"{key} = {value!r}: valid are {words}{meant(str(value), map(str, valid), 0.5)}")
         return value
 
     def model(self, key: str, params: tuple[float, ...] | None) -> str | None:
@@ -90,7 +90,7 @@ class Part:
         if value is None:
             return None
         if value not in MODELS:
-            raise self.fail(key, f"unknown camera model {value!r}{nearest(value, MODELS)} (COLMAP's names)")
+            raise self.fail(key, f"unknown camera model {value!r}{meant(value, MODELS, 0.5)} (COLMAP's names)")
         if params is not None and (wrong := count_fault(value, params)):
             raise self.fail(key, wrong)
         return str(value)
@@ -110,12 +110,6 @@ def is_number(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return abs(value) < sys.float_info.max
-
-
-def nearest(value: Any, valid: tuple[Any, ...], cutoff: float = 0.5) -> str:
-    """A hint at the valid word nearest to a wrong one, "" if none is near."""
-    near = difflib.get_close_matches(str(value), [str(v) for v in valid], n=1, cutoff=cutoff)
-    return f"; perhaps you meant {near[0]!r}?" if near else ""
 
 
 class Fault(NamedTuple):
