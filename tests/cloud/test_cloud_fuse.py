@@ -79,7 +79,6 @@ def test_without_filters_and_colours_strays_stay_and_points_are_black(tmp_path):
 def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
     whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING)
     a = whole.cloud().xyz_m
-    monkeypatch.setattr(fuse_module, "TILE_VOXELS", 32)
     monkeypatch.setattr(voxels_module, "TILE_VOXELS", 32)
     tiled = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING)
     assert len(tiled.tiles) > 3 * len(whole.tiles)

@@ -119,15 +119,14 @@ def test_what_is_finished_stays_when_it_is_stopped(made, tmp_path, monkeypatch):
     shutil.rmtree(folder / "mesh")
     calls = []
 
-    def counted(name):
-        right = getattr(glue, name)
+    def counted(name, right):
         return lambda *args: calls.append(name) or right(*args)
 
     def stop(*args):
         raise KeyboardInterrupt
 
-    for name in ("mesh_of", "seen_by", "chosen"):
-        monkeypatch.setattr(glue, name, counted(name))
+    for module, name in ((glue.surface, "mesh_of"), (glue.views, "seen_by"), (glue.views, "chosen")):
+        monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
     cut_out = glue.texture.cut_out
     monkeypatch.setattr(glue.texture, "cut_out", stop)
     with pytest.raises(KeyboardInterrupt):
@@ -148,7 +147,8 @@ def test_what_cannot_be_meshed_is_said(made, tmp_path, monkeypatch):
         tiegraph.open(out=folder).mesh()
     with pytest.raises(ReconstructionError, match=r"raise --mesh.max-sigma-m \(1e-09\)"):
         glue.mesh(run_of(folder, max_sigma_m=1e-9))
-    monkeypatch.setattr(glue, "seen_by", lambda *args: glue.Seen(np.zeros(0, int), np.zeros(0, np.float32)))
+    nothing = glue.views.Seen(np.zeros(0, int), np.zeros(0, np.float32))
+    monkeypatch.setattr(glue.views, "seen_by", lambda *args: nothing)
     with pytest.raises(ReconstructionError, match="no image sees the surface"):
         glue.mesh(run_of(folder))
 
