@@ -73,7 +73,8 @@ class PageServer(ThreadingHTTPServer):
 
     def start(self) -> None:
         """Serve the page until ``close``, while this process does something else."""
-        threading.Thread(target=self.serve_forever, daemon=True, name="page").start()
+        every_s = 0.05  # it looks whether it is closed
+        threading.Thread(target=self.serve_forever, args=(every_s,), daemon=True, name="page").start()
 
     def close(self) -> None:
         """End what ``start`` began."""

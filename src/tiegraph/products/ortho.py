@@ -30,8 +30,6 @@ Heights = Callable[[Window, int], np.ndarray]
 """w (rows, columns) of a window, or of its blocks of so many pixels; NaN = not known."""
 _BLOCK, _FEW = 8, 500  # raster pixels along the edge of blocks whose colours tell exposures, of so many images ...
 _MOST = 10_000  # ... and images whose exposures are told at all: a matrix of them all is solved
-_FEEDS = 5  # times the exposures are compensated, each of what the one before has left: each is drawn to 1
-_LARGEST_GAIN = 2.0  # of an exposure, either way
 
 Pictures = Callable[[int], np.ndarray]
 """RGB (H, W, 3) u1 of a view by its number."""
@@ -302,12 +300,12 @@ def gains(patches: Sequence[Patch | None]) -> np.ndarray:
     there = [(k, p) for k, p in enumerate(patches) if p is not None]
     if not 2 <= len(there) <= _MOST:
         return out
-    compensator = cv2.detail.ChannelsCompensator(_FEEDS)
+    compensator = cv2.detail.ChannelsCompensator(5)  # times, each of what the one before left: each is drawn to 1
     corners, colours = [(p.column, p.row) for _, p in there], [p.rgb for _, p in there]
     seen = [p.seen.astype(np.uint8) * 255 for _, p in there]
     compensator.feed(corners, colours, seen)  # type: ignore[arg-type]  # arrays are images too
     found = np.array([np.ravel(g)[:3] for g in compensator.getMatGains()])
-    out[[k for k, _ in there]] = np.clip(found / np.median(found, axis=0), 1 / _LARGEST_GAIN, _LARGEST_GAIN)
+    out[[k for k, _ in there]] = np.clip(found / np.median(found, axis=0), 1 / 2, 2)
     return out
 
 
