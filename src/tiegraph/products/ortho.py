@@ -129,7 +129,7 @@ def draw(
     depth = np.full(size[::-1], _NOTHING)
     for tile, z in zip(tiles, seen):
         nearest = max(z.min(), closest) if z.size else closest
-        step = round(min(scale.min() * nearest / (surface.pixel_m * view.focal), _LOOK))
+        step = max(1, round(min(scale.min() * nearest / (surface.pixel_m * view.focal), _LOOK)))
         around = tile.grown(step)
         for points in _drawn(surface, around, heights(around, step), step):
             x, y, z = project(view, points)
