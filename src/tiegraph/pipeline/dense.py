@@ -76,11 +76,8 @@ def dense(run: Run) -> Outcome:
 
 def plan_of(run: Run) -> DensePlan:
     """The pairs of images to match, by the model in the world; those of dependent cameras within their frame."""
-    settings, tuning, model = (
-        run.settings.dense,
-        run.settings.tuning.dense,
-        files.load_model(run.path("sparse", "world")),
-    )
+    settings, tuning = run.settings.dense, run.settings.tuning.dense
+    model = files.load_model(run.path("sparse", "world"))
     survey = files.whole(run)
     hanging = {survey.names[k] for k in np.flatnonzero(~carries(survey))}
     if not hanging:

@@ -180,9 +180,8 @@ def _light_of(name: str, folder: Path) -> tuple[float, float]:
     """Mean grey of an image, and the share of an up camera's picture that its mask leaves out (sky)."""
     scene = scene_of(folder)
     up = scene.sensor_of(scene.image_index[name]).role == "up"
-    return preview_of(folder, name).brightness, 1.0 - float(files.read_mask(folder, name).mean()) if up else float(
-        "nan"
-    )
+    sky = 1.0 - float(files.read_mask(folder, name).mean()) if up else float("nan")
+    return preview_of(folder, name).brightness, sky
 
 
 @cached_by_file(2, lambda folder: folder / "scene.json")

@@ -156,7 +156,7 @@ def _with_times(
     model, last, wide, near = out.model, test, tuning.rig.late_wide, False
     late = {k: (0.0, 0.0) for k in test.times_alone_s()}
     steps, few = late, thinned(mapped, tuning.adjust.few_points)
-    for _ in range(tuning.rig.late_rounds):
+    for _ in range(10):  # at most, until each step is below its sigma
         late = {k: (late[k][0] + last.system.damped * step, sigma) for k, (step, sigma) in steps.items()}
         seconds = {first + k: time for k, (time, _) in late.items()}
         start = pycolmap.Reconstruction(mapped if wide == 1 else few)

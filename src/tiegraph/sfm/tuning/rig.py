@@ -133,8 +133,6 @@ class RigTuning(Section):
     """Prior sigma of the delay of a camera relative to the reference, if it is unknown."""
     late_wide: float = Field(16.0, ge=1)
     """Factor on the tolerance for observations while delays that move cameras by decimetres are estimated."""
-    late_rounds: int = Field(10, gt=0)
-    """Rounds of an adjustment and a step of the delays, until a step is below its sigma."""
     held_deg: float = Field(0.01, gt=0)
     """Sigma of the rotation of a camera with its own time relative to its frame, where positions bend the path."""
     held_m: float = Field(0.003, gt=0)

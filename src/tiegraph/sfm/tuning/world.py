@@ -120,8 +120,6 @@ class SourceTuning(Section):
     """Sigma of a scale beyond which a source is not used for it."""
     common_deg: float = Field(1.5, ge=0)
     """Error common to the orientations of a path, which does not average out."""
-    rounds: int = Field(2, gt=0)
-    """Rounds in which the sigmas of a source follow the scatter about its own fit."""
 
 
 class SimilarityFitTuning(Section):
@@ -130,8 +128,6 @@ class SimilarityFitTuning(Section):
     min_positions: int = Field(3, ge=3)
     """Positions and control points that are needed to place a model, by all or by a source alone, and held-out ones
     that are needed to check it."""
-    rounds: int = Field(2, gt=0)
-    """Rounds of placing: the second has the true scale for frames known through another camera than the first."""
     tilt_share: float = Field(0.5, gt=0)
     """Share of the sigma of a ring's upward direction: above it, as a sigma of the tilt, that direction is used."""
     many_points: int = Field(8, gt=0)
@@ -160,8 +156,6 @@ class StatementTuning(Section):
 class AdjustmentTuning(Section):
     """The bundle adjustment in the world and its check (`georeferencing.py`)."""
 
-    rounds: int = Field(3, gt=0)
-    """Rounds of bending the model and fitting it again, at most."""
     least_bend: float = Field(0.05, ge=0)
     """Bend as a share of the sigma of the shape, below which the model stays as it is."""
     worse_pixels: float = Field(1.05, ge=1)

@@ -131,7 +131,7 @@ def _bent(
     scene, always = measured.scene, measured.settings.adjust == "yes"
     placed, bent, start = placing, world, _frames(world, scene)[:, :3, 3]
     least = tuning.world.adjustment.least_bend * rms_length(shape.sigma[:, None])
-    for _ in range(tuning.world.adjustment.rounds):
+    for _ in range(3):  # at most: the model is bent, and fitted again
         assert placed.fit.bent is not None
         step, sigma = shape.step(np.arange(scene.frames), placed.fit.bent[0])
         if rms_length(step) < least and not (always and placed is placing):

@@ -194,7 +194,7 @@ def _selected(
     first.
     """
     tuning, fixes, metres, weighed = measured.tuning, stated, measured.metres_per_unit, None
-    for _ in range(tuning.similarity_fit.rounds):
+    for _ in range(2):
         evidence = _of_points(_of_fixes(measured, fixes, arm, metres), measured, metres)
         evidence = replace(evidence, free=frozenset([ANTENNA] if estimate else []))
         if weighed is None:

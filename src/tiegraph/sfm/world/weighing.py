@@ -172,7 +172,7 @@ def _alone(name: str, own: Evidence, rows: Stated | None, tuning: WorldTuning) -
         return None
     own, sigma = replace(own, log_scale=None), own.sigma
     fit = fit_similarity(own, None, tuning.fit)
-    for _ in range(tuning.sources.rounds):
+    for _ in range(2):  # its sigmas follow the scatter about its own fit
         off = fit.residuals(own) / sigma
         typical = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / MEDIAN_CHI2_3))
         own = replace(own, sigma=sigma * max(1.0, typical))
