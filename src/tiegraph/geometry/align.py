@@ -68,16 +68,25 @@ def umeyama(
     if len(source) < 3:
         raise ValueError(f"alignment needs at least 3 points, got {len(source)}")
     w = np.full(len(source), 1.0 / len(source)) if weights is None else np.asarray(weights, float) / np.sum(weights)
+    scale, rotation, shift = _aligned(source, target, w, with_scale)
+    return Similarity(float(scale), rotation, shift)
+
+
+def _aligned(
+    source: np.ndarray, target: np.ndarray, w: np.ndarray, with_scale: bool = True
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scales (...), rotations (..., 3, 3) and translations (..., 3) from sources (..., N, 3) to targets, with weights
+    (N,) whose sum is 1."""
     mean_s, mean_t = w @ source, w @ target
-    s, t = source - mean_s, target - mean_t
-    u, d, vt = np.linalg.svd((w[:, None] * t).T @ s)
-    sign = np.ones(3)
-    if np.linalg.det(u) * np.linalg.det(vt) < 0:
-        sign[2] = -1
-    rotation = u @ np.diag(sign) @ vt
-    variance = float(w @ np.sum(s**2, axis=1))
-    scale = float(d @ sign) / variance if with_scale and variance > 0 else 1.0
-    return Similarity(scale, rotation, mean_t - scale * rotation @ mean_s)
+    s, t = source - mean_s[..., None, :], target - mean_t[..., None, :]
+    u, d, vt = np.linalg.svd(np.swapaxes(w[:, None] * t, -1, -2) @ s)
+    sign = np.ones_like(d)
+    sign[..., 2] = np.where(np.linalg.det(u) * np.linalg.det(vt) < 0, -1, 1)
+    rotation = (u * sign[..., None, :]) @ vt
+    variance = np.sum(s**2, axis=-1) @ w
+    scale = np.where(variance > 0, np.sum(d * sign, axis=-1) / np.where(variance > 0, variance, 1), 1.0)
+    scale = scale if with_scale else np.ones_like(scale)
+    return scale, rotation, mean_t - scale[..., None] * (rotation @ mean_s[..., None])[..., 0]
 
 
 def robust_umeyama(source: np.ndarray, target: np.ndarray, sigma: np.ndarray | float) -> tuple[Similarity, np.ndarray]:
@@ -90,13 +99,13 @@ def robust_umeyama(source: np.ndarray, target: np.ndarray, sigma: np.ndarray | f
     sigma = np.broadcast_to(np.asarray(sigma, float), (len(source),))
     rng = np.random.default_rng(0)
     best, inliers = -1.0, np.ones(len(source), bool)
-    for _ in range(300 if len(source) > 3 else 1):
-        pick = rng.choice(len(source), 3, replace=False)
-        fit = umeyama(source[pick], target[pick])
-        ratio = np.linalg.norm(fit(source) - target, axis=1) / (3 * sigma)
-        score = float(np.sum(np.maximum(0.0, 1 - ratio**2)))
-        if score > best and np.sum(ratio < 1) >= 3:
-            best, inliers = score, ratio < 1
+    picks = np.array([rng.choice(len(source), 3, replace=False) for _ in range(300 if len(source) > 3 else 1)])
+    for found in zip(*_aligned(source[picks], target[picks], np.full(3, 1 / 3)), strict=True):
+        off = (Similarity(*found)(source) - target) / (3 * sigma[:, None])
+        squared = np.einsum("ij,ij->i", off, off)
+        score = float(np.sum(np.maximum(0.0, 1 - squared)))
+        if score > best and np.sum(squared < 1) >= 3:
+            best, inliers = score, squared < 1
     for _ in range(5):
         fit = umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2)
         again = np.linalg.norm(fit(source) - target, axis=1) < 3 * sigma

@@ -237,6 +237,7 @@ class _Problem:
     def positions(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``residuals``, and the derivatives (K, 3, D) of the antenna's places by the unknowns, metres."""
         evidence, (similarity, antenna, offset) = self.evidence, self.unpack(x)
+        off = evidence.position_residuals(similarity, antenna, offset) / evidence.sigma
         pose = evidence.pose + offset * evidence.speed if offset else evidence.pose
         reach = similarity.scale * (pose[:, :3, 3] - self.middle) @ similarity.rotation.T
         out = np.zeros((len(pose), 3, self.size))
@@ -250,7 +251,7 @@ class _Problem:
         if self.clock:
             moved = similarity.scale * evidence.speed[:, :3, 3] + evidence.speed[:, :3, :3] @ antenna
             out[:, :, -1] = moved @ similarity.rotation.T
-        return self.residuals(x), out
+        return off, out
 
     @staticmethod
     def _free(x: np.ndarray) -> float:
@@ -293,8 +294,8 @@ class _Problem:
             parts.append((x[-1:] / self.tuning.offset_sigma_s, unit[-1:] / self.tuning.offset_sigma_s))
         return np.concatenate([value for value, _ in parts]), np.concatenate([rows for _, rows in parts])
 
-    def solve(self, x: np.ndarray, weight: np.ndarray) -> scipy.optimize.OptimizeResult:
-        """Least squares from ``x``, with weights (K,) of the positions."""
+    def solve(self, x: np.ndarray, weight: np.ndarray, tolerance: float = 1e-8) -> scipy.optimize.OptimizeResult:
+        """Least squares from ``x``, with weights (K,) of the positions, to a tolerance as SciPy has it."""
 
         @lru_cache(maxsize=1)  # the solver asks for the derivatives where it asked for the residuals last
         def evaluated(key: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -305,7 +306,13 @@ class _Problem:
             return residuals, np.concatenate([places.reshape(-1, self.size), by_others])
 
         return scipy.optimize.least_squares(
-            lambda y: evaluated(y.tobytes())[0], x, lambda y: evaluated(y.tobytes())[1], x_scale="jac", method="trf"
+            lambda y: evaluated(y.tobytes())[0],
+            x,
+            lambda y: evaluated(y.tobytes())[1],
+            x_scale="jac",
+            method="lm",
+            ftol=tolerance,
+            xtol=tolerance,
         )
 
     def fit(self, x: np.ndarray, covariance: np.ndarray, inlier: np.ndarray) -> Fit:
@@ -327,7 +334,7 @@ class _Problem:
 def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> tuple[float, Fit]:
     """The robust cost, in squared sigmas, and the fit."""
     problem = _Problem(evidence, up, start, tuning)
-    x = np.zeros(problem.size)
+    x, small = np.zeros(problem.size), 1e-5  # radians, metres, log scale: a smaller step ends the rounds
 
     def distance(y: np.ndarray) -> np.ndarray:
         return np.linalg.norm(problem.residuals(y), axis=1)
@@ -335,14 +342,14 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
     for scale in tuning.cauchy_scales:  # Cauchy over the whole vector: an outlier in height is one in plan too
         for _ in range(tuning.rounds):
             weight = 1 / np.sqrt(1 + (distance(x) / (scale * LIMIT)) ** 2)
-            before, x = x, problem.solve(x, weight).x
-            if np.abs(x - before).max() < 1e-5:  # radians, metres, log scale: a smaller step ends the rounds
+            before, x = x, problem.solve(x, weight, small).x
+            if np.abs(x - before).max() < small:
                 break
     inlier = distance(x) < LIMIT * np.sqrt(3)
     for _ in range(tuning.rounds):
         if inlier.sum() < 3:
             inlier[:] = True
-        x = problem.solve(x, inlier.astype(float)).x
+        x = problem.solve(x, inlier.astype(float), small).x
         again = distance(x) < LIMIT * np.sqrt(3)
         if np.array_equal(again, inlier):
             break
