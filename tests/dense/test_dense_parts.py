@@ -9,7 +9,7 @@ import pytest
 from dense_world import model_of
 
 from tiegraph.dense import plan as planning
-from tiegraph.dense.depth import Consistency, check, with_normals
+from tiegraph.dense.depth import Consistency, check, gone, with_normals
 from tiegraph.dense.engine import Candidates, triangulate
 from tiegraph.dense.plan import EPIPOLE, ONE_CENTRE, SCALE, WIDE, CameraModel, ViewPlan, plan_images
 from tiegraph.dense.settings import DenseSettings
@@ -148,6 +148,24 @@ def test_points_that_most_images_see_through_are_dropped_hidden_ones_are_not():
         assert (np.isfinite(result.depth_m[inner]) == stays).all()
         result, _ = check(some, [], ["bb", "f", "g"], (witnesses | agreeing).get, SETTINGS, TUNING.rays)
         assert np.isfinite(result.depth_m[inner]).all()
+
+
+def test_what_two_images_of_another_pass_see_through_was_there_in_one_pass_only():
+    """A board before the wall; one image alone, and images that confirm it or see something nearer, prove nothing."""
+    wall = {n: plane_map(n, (x, 0, 0)) for n, x in {"b": 0.2, "cc": -0.2, "ddd": 0.1}.items()}
+    nearer = {n: plane_map(n, (x, 0, 0), distance=3.0) for n, x in {"e": 0.15, "ff": -0.15}.items()}
+    board = plane_map("a", (0, 0, 0)).depth_m.copy()
+    board[40:80, 60:100] *= 0.6
+    found, load = replace(plane_map("a", (0, 0, 0)), depth_m=board), (wall | nearer).get
+
+    def left_out(*others):
+        return gone(found, others, load, SETTINGS.tolerance_px, TUNING.rays)
+
+    assert left_out("b", "cc")[40:80, 60:100].all() and left_out("b", "cc", "missing").sum() == 40 * 40
+    assert not left_out("b").any() and not left_out("e", "ff").any()
+    same = {n: replace(wall["b"], image=n, depth_m=board, cam_from_world=found.cam_from_world) for n in ("g", "hh")}
+    assert not gone(found, ["b", "cc", *same], (wall | same).get, SETTINGS.tolerance_px, TUNING.rays).any()
+    assert gone(found, ["b", "cc", "ddd", *same], (wall | same).get, SETTINGS.tolerance_px, TUNING.rays)[60, 80]
 
 
 def test_what_the_partners_depth_maps_do_not_say_again_is_dropped():
@@ -293,6 +311,10 @@ def test_refused_images_still_witness_and_the_depth_range_holds_the_points_with_
     plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0.05, 0, 2.5)]), SETTINGS, TUNING.partners)
     assert [v.name for v in plan.images["0.jpg"].partners] == ["1.jpg"]
     assert "2.jpg" in plan.images["0.jpg"].witnesses and plan.refused[EPIPOLE] >= 2
+    assert plan.images["0.jpg"].elsewhen == ()
+    passes = {"0.jpg": 0, "1.jpg": 0, "2.jpg": 1}
+    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0.05, 0, 2.5)]), SETTINGS, TUNING.partners, passes)
+    assert plan.images["0.jpg"].elsewhen == ("2.jpg",) and plan.images["1.jpg"].elsewhen == ("2.jpg",)
     assert any("one partner" in note for note in plan.notes)
     plan = plan_images(model([(x, 0, 0) for x in (0, 1, 2)]), SETTINGS, TUNING.partners)
     near, far = plan.images["1.jpg"].depth_range.near, plan.images["1.jpg"].depth_range.far

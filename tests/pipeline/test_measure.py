@@ -23,6 +23,7 @@ from tiegraph.cli.main import main
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.pipeline.clouds import compare_epochs, compare_passes
+from tiegraph.pipeline.dense import depth_path, lasting, plan_of, read_depth
 from tiegraph.pipeline.evaluate import evaluate
 from tiegraph.pipeline.shots import shot_views
 from tiegraph.project.run import Run
@@ -445,6 +446,28 @@ def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Pat
     assert figures["passes_median"] == pytest.approx(found["differences"]["median m"], abs=0.005)
     layers = json.loads((folder / "metrics.json").read_text())["accuracy"]["figures"]
     assert sum(f["key"] == "shape.passes" and f["measured"] > 0 and not f["independent"] for f in layers) == 1
+
+
+def test_what_stood_in_one_pass_only_is_not_in_the_cloud(finished, tmp_path: Path) -> None:
+    """A board before the wall, in the depth map of one image; the map itself keeps it."""
+    folder = finished.after("dense", tmp_path / "run")
+    run = Run(folder, None, merged({}))  # type: ignore[arg-type]
+    name = next(n for n, plan in sorted(plan_of(run).images.items()) if len(plan.elsewhen) >= 2)
+    before = _standing(run, name)
+    path = depth_path(folder, name)
+    with np.load(path) as columns:
+        changed = dict(columns)
+    known = np.isfinite(changed["depth_m"])
+    changed["depth_m"] = np.where(known, 0.88 * changed["depth_m"], np.nan).astype(np.float32)
+    np.savez_compressed(path, **changed)
+    assert before > 0.97 * known.sum() and _standing(run, name) < 0.5 * before
+    assert np.isfinite(read_depth(name, folder).depth_m).sum() == known.sum()
+
+
+def _standing(run: Run, name: str) -> int:
+    settings, plans = run.settings, plan_of(run).images
+    kept = lasting(name, folder=run.folder, plans=plans, settings=settings.dense, tuning=settings.tuning.dense)
+    return int(np.isfinite(kept.depth_m).sum())
 
 
 def test_the_poses_of_a_run_without_a_cloud_are_compared(finished, tmp_path: Path, capsys) -> None:

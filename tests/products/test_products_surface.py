@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from products_world import BOX, FACADE, MAP, NOISE_M, PIXEL, ROOF, SIZE, WALL, height, in_box
+from products_world import BOX, FACADE, MAP, NOISE_M, PIXEL, ROOF, SIZE, WALL, Scene, height, in_box
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.products.heights import height_tile, margin
@@ -55,6 +56,31 @@ def test_two_banks_are_two_elevations_that_face_each_other():
     assert [s.name for s in found] == ["elevation1", "elevation2"]
     one, two = (s.frame.surface_from_world[2, :3] for s in found)
     assert one @ two < -0.95
+
+
+def test_what_hangs_over_cameras_has_its_clearance_above_the_water():
+    """The world as a ceiling 20 m high whose box hangs down to 18 m; the water at 3 m. Nothing comes of what is beside
+    the cameras."""
+    ceiling = Scene(transforms.rigid(np.diag([1.0, -1.0, -1.0]), [5.0, 7.0, 20.0]), "underside1")
+    seen = survey(ceiling, water=3.0)
+    (found,), notes = choose(seen, ProductsSettings(pixel_m=PIXEL), TUNING)
+    assert found.name == "underside1" and found.level and found.axes[2] == "up from the water"
+    assert "underside1: 9" in " ".join(notes) and found.offset.tolist() == [500.0, 4000.0, -3.0]
+    window = Window(0, 0, *found.shape)
+    w, sigma = height_tile(ceiling.cloud(), found, window, HeightTuning())
+    x, y = np.meshgrid(*found.places(window))
+    u, v = x - 5.0, 7.0 - y
+    off = found.heights(w) - (17.0 - height(u, v))
+    rim = cv2.dilate(in_box(u, v).astype(np.uint8), np.ones((5, 5))) > cv2.erode(
+        in_box(u, v).astype(np.uint8), np.ones((5, 5))
+    )
+    assert np.isfinite(off).mean() > 0.9 and 0.5 < np.nanstd(off[~rim] / sigma[~rim]) < 2
+    np.testing.assert_allclose(found.w(found.heights(w)), w, atol=1e-5)
+    aside = replace(
+        seen, sample=replace(ceiling.cloud(0.04).moved(transforms.rigid(np.eye(3), [60.0, 0, 0])), origin=None)
+    )
+    found, notes = choose(aside, ProductsSettings(), TUNING)
+    assert not found and "no raster is made" in notes[0]
 
 
 def test_a_plane_that_is_given_is_taken_between_its_ends():

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 import terrain_world as world
 from terrain_world import NOISE_M, PIXEL
 from tiegraph.pipeline import products as glue
-from tiegraph.pipeline.products import TerrainWork, wanted
+from tiegraph.pipeline.products import TerrainWork
 from tiegraph.products.raster import Place, read_window
 from tiegraph.products.surface import Window
 from tiegraph.products.terrain import contour_lines, equidistance
@@ -109,9 +109,9 @@ def test_ground_that_was_not_seen_for_a_long_way_is_not_invented(tmp_path):
 
 
 def test_a_wall_and_a_model_without_scale_have_no_terrain():
-    assert wanted(world.surface(), Place(world.ORIGIN))
-    assert not wanted(world.surface(name="elevation1"), Place(world.ORIGIN))
-    assert not wanted(world.surface(), Place(None, "units"))
+    assert Place(world.ORIGIN).has_terrain(world.surface())
+    assert not Place(world.ORIGIN).has_terrain(world.surface(name="elevation1"))
+    assert not Place(None, "units").has_terrain(world.surface())
 
 
 TUNING = ContourTuning()

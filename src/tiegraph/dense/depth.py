@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -142,33 +143,15 @@ class Tally:
 
     def hear(self, surface: Surface, partner: int | None, tolerance_px: float, tuning: RayTuning) -> None:
         """One more witness; ``partner``: its number, if it is a partner, which may be in ``views`` already."""
-        depth, other = self.depth, surface.camera
-        z, sigma_z = depth.depth_m, depth.sigma_m
-        other_from_depth = other.cam_from_world @ invert(depth.cam_from_world)
-        # Our rays with z = 1 in the other's frame: they are affine in the pixel, so each is a row plus a column
-        u, v = np.arange(z.shape[1]) + 0.5, np.arange(self.top, self.top + len(z)) + 0.5
-        matrix = other_from_depth[:3, :3] @ np.linalg.inv(depth.K)
-        along = [((m[0] * u)[None, :] + (m[1] * v + m[2])[:, None]).astype(np.float32) for m in matrix]
-        x, y, ahead = (a * z + np.float32(t) for a, t in zip(along, other_from_depth[:3, 3], strict=True))
-        their_z = np.where(ahead > 0, ahead, np.float32(np.nan))
-        column = np.float32(other.K[0, 0]) * x / their_z + np.float32(other.K[0, 2])
-        row = np.float32(other.K[1, 1]) * y / their_z + np.float32(other.K[1, 2])
-        height, width = other.depth_m.shape
-        possible = (column >= 0) & (column <= width) & (row >= 0) & (row <= height)  # NaN compares false
-        inverse, relative_sigma = surface.at(column, row, tuning.max_relative)
-        relative = 1 / (inverse * their_z) - 1  # their surface behind our point, as a share of its depth; NaN = unseen
-        spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
-        tolerance = np.clip(tolerance_px * spread, tuning.min_relative, tuning.max_relative)
-        agrees = np.abs(relative) <= tolerance
-        # Our ray meets their surface, taken as parallel to their image, a little further on; oblique ones are held back
-        said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], 0.3)
-        said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
-        variance = np.where(agrees, np.square(relative_sigma * said), 1)
+        seen = surface.seen(self.depth, self.top, tolerance_px, tuning)
+        agrees = seen.agrees
+        said = np.where(agrees, 1 / np.where(agrees, seen.said, 1), 0)
+        variance = np.where(agrees, np.square(seen.relative_sigma * said), 1)
         weight = np.where(agrees, 1 / variance, 0)
-        counted = np.zeros(z.shape, bool) if partner is None else self.matched(partner)
+        counted = np.zeros(agrees.shape, bool) if partner is None else self.matched(partner)
         self.views += agrees & ~counted
-        self.against += relative > 1.5 * tolerance
-        self.possible += possible | counted
+        self.against += seen.through
+        self.possible += seen.possible | counted
         self.maps += agrees
         self.weighted += said * weight
         self.weight += weight
@@ -197,6 +180,35 @@ class Tally:
         return found | {"views": views.astype(np.uint8)}, Consistency(*counts)
 
 
+class Seen(NamedTuple):
+    """What a depth map says of the pixels (H, W) of another one: which lie in its image (``possible``), which it
+    confirms (``agrees``) and sees through (``through``), the depth it says of those it confirms (``said``), and its
+    sigma as a share."""
+
+    possible: np.ndarray
+    agrees: np.ndarray
+    through: np.ndarray
+    said: np.ndarray
+    relative_sigma: np.ndarray
+
+
+def gone(depth: DepthMap, others: Sequence[str], load: LoadDepth, tolerance_px: float, tuning: RayTuning) -> np.ndarray:
+    """(H, W) bool: the pixels of a finished depth map that were there in its own pass only, such as a parked car: two
+    finished maps of images of other passes (``others``) see through them at least, and more than confirm them. Those of
+    its own pass all confirm them."""
+    through, agree = np.zeros((2, *depth.depth_m.shape), np.int16)
+    for name in others:
+        if (other := load(name)) is None:
+            continue
+        surface = Surface(other)
+        for rows in row_strips(depth.depth_m.shape, 1 << 16):
+            part = replace(depth, depth_m=depth.depth_m[rows], sigma_m=depth.sigma_m[rows])
+            seen = surface.seen(part, rows.start, tolerance_px, tuning)
+            through[rows] += seen.through
+            agree[rows] += seen.agrees
+    return (through >= 2) & (through > agree)
+
+
 class Surface:
     """A depth map to be looked up: inverse depth with 0 in holes, 1 where known, sigma as a share of the depth."""
 
@@ -205,6 +217,30 @@ class Surface:
         self.inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float32)
         self.known = known.astype(np.float32)
         self.relative_sigma = (depth.sigma_m * self.inverse).astype(np.float32)
+
+    def seen(self, depth: DepthMap, top: int, tolerance_px: float, tuning: RayTuning) -> Seen:
+        """What it says of some rows of another depth map, of which ``top`` is the first."""
+        other = self.camera
+        z, sigma_z = depth.depth_m, depth.sigma_m
+        other_from_depth = other.cam_from_world @ invert(depth.cam_from_world)
+        # Our rays with z = 1 in the other's frame: they are affine in the pixel, so each is a row plus a column
+        u, v = np.arange(z.shape[1]) + 0.5, np.arange(top, top + len(z)) + 0.5
+        matrix = other_from_depth[:3, :3] @ np.linalg.inv(depth.K)
+        along = [((m[0] * u)[None, :] + (m[1] * v + m[2])[:, None]).astype(np.float32) for m in matrix]
+        x, y, ahead = (a * z + np.float32(t) for a, t in zip(along, other_from_depth[:3, 3], strict=True))
+        their_z = np.where(ahead > 0, ahead, np.float32(np.nan))
+        column = np.float32(other.K[0, 0]) * x / their_z + np.float32(other.K[0, 2])
+        row = np.float32(other.K[1, 1]) * y / their_z + np.float32(other.K[1, 2])
+        height, width = other.depth_m.shape
+        possible = (column >= 0) & (column <= width) & (row >= 0) & (row <= height)  # NaN compares false
+        inverse, relative_sigma = self.at(column, row, tuning.max_relative)
+        relative = 1 / (inverse * their_z) - 1  # their surface behind our point, as a share of its depth; NaN = unseen
+        spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
+        tolerance = np.clip(tolerance_px * spread, tuning.min_relative, tuning.max_relative)
+        agrees = np.abs(relative) <= tolerance
+        # Our ray meets their surface, taken as parallel to their image, a little further on; oblique ones are held back
+        said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], 0.3)
+        return Seen(possible, agrees, relative > 1.5 * tolerance, said, relative_sigma)
 
     def at(self, column: np.ndarray, row: np.ndarray, max_relative: float) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and

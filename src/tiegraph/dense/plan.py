@@ -3,7 +3,7 @@ which images to match with which: by shared sparse points, angle of intersection
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -80,6 +80,7 @@ class ImagePlan:
     partners: tuple[ViewPlan, ...]
     witnesses: tuple[str, ...]  # names of images whose depth maps are compared with this one's
     depth_range: DepthRange
+    elsewhen: tuple[str, ...] = ()  # names of images of other passes, which tell what was there in one pass only
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +109,13 @@ class _Table:
         return self.xyz[points] @ pose[2, :3] + pose[2, 3]
 
 
-def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings, tuning: PartnerTuning) -> DensePlan:
-    """Partners, witnesses and depth range of every registered image.
+def plan_images(
+    reconstruction: pycolmap.Reconstruction,
+    settings: DenseSettings,
+    tuning: PartnerTuning,
+    passes: Mapping[str, int] | None = None,
+) -> DensePlan:
+    """Partners, witnesses and depth range of every registered image; ``passes``: in which one each was taken, by name.
 
     Raises ReconstructionError when no image has a partner. Time grows with the observations, not with pairs of images.
     """
@@ -137,12 +143,15 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
         common = np.intersect1d(table.points[k], np.concatenate([table.points[row[p.view.name]] for p in used]))
         # The partners, then those that share most points
         rest = sorted((p for p in candidates if p.reason not in ("", SCALE)), key=lambda p: -p.shared)
-        witnesses = [p.view.name for p in (*used, *rest)][: max(tuning.witnesses, len(used))]
+        names = list(dict.fromkeys(p.view.name for p in (*used, *rest)))
+        most = max(tuning.witnesses, len(used))
+        other = [n for n in names if passes and passes[n] != passes[view.name]]
         images[view.name] = ImagePlan(
             view=view,
             partners=tuple(p.view for p in used),
-            witnesses=tuple(witnesses),
+            witnesses=tuple(names[:most]),
             depth_range=range_of(table.depths(k, common)),
+            elsewhen=tuple(other[: tuning.witnesses]),
         )
     if not images:
         reason, count = Counter(reason for _, reason in dropped).most_common(1)[0] if dropped else ("no image", 0)

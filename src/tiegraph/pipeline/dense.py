@@ -12,8 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tiegraph.cloud.fuse import Maps, fuse
-from tiegraph.dense.depth import Consistency, confirmed_map, depth_map
+from tiegraph.cloud.fuse import Maps, automatic_voxel, fuse
+from tiegraph.dense.depth import Consistency, confirmed_map, depth_map, gone
 from tiegraph.dense.engine import installed, matched_by, most_volume_bytes
 from tiegraph.dense.plan import CameraModel, DensePlan, ImagePlan, ViewPlan, plan_images
 from tiegraph.dense.settings import DenseSettings
@@ -80,11 +80,12 @@ def plan_of(run: Run) -> DensePlan:
     model = files.load_model(run.path("sparse", "world"))
     survey = files.whole(run)
     hanging = {survey.names[k] for k in np.flatnonzero(~carries(survey))}
+    passes = dict(zip(survey.names, survey.sequence[survey.frame].tolist()))
     if not hanging:
-        return plan_images(model, settings, tuning.partners)
+        return plan_images(model, settings, tuning.partners, passes)
     within = plan_hanging(model, hanging, settings, tuning)
     try:
-        plan = plan_images(model, settings, tuning.partners)
+        plan = plan_images(model, settings, tuning.partners, passes)
     except ReconstructionError:
         if not within.images:
             raise
@@ -149,6 +150,14 @@ def read_depth(name: str, folder: Path) -> DepthMap:
     return files.load_map(depth_path(folder, name))
 
 
+def lasting(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> DepthMap:
+    """The finished depth map of an image without what other passes see through."""
+    found, load = read_depth(name, folder), partial(known_depth, folder=folder)
+    if plans[name].elsewhen:
+        found.depth_m[gone(found, plans[name].elsewhen, load, settings.tolerance_px, tuning.rays)] = np.nan
+    return found
+
+
 def known_depth(name: str, folder: Path, step: str = "") -> DepthMap | None:
     """The depth map of an image, if there is one."""
     path = depth_path(folder, name, step)
@@ -156,7 +165,8 @@ def known_depth(name: str, folder: Path, step: str = "") -> DepthMap | None:
 
 
 def cloud(run: Run) -> Outcome:
-    """One cloud of all depth maps, tile by tile, as LAZ and PLY; and the agreement of two passes, if there are."""
+    """One cloud of all depth maps, tile by tile, as LAZ and PLY, without what was there in one pass only; and the
+    agreement of two passes, if there are."""
     from tiegraph.pipeline.clouds import write_agreement  # matplotlib, which no worker of this stage needs
 
     def mapper(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
@@ -168,8 +178,11 @@ def cloud(run: Run) -> Outcome:
     remove(scratch)
     scratch.mkdir(parents=True)
     drawn = partial(colours, plans=plans, images=run.path("images"), settings=run.settings.dense)
-    maps = Maps(partial(read_depth, folder=run.folder), drawn)
-    settings, tuning = run.settings.cloud, run.settings.tuning.cloud
+    matched = {"settings": run.settings.dense, "tuning": run.settings.tuning.dense}
+    maps = Maps(partial(lasting, folder=run.folder, plans=plans, **matched), drawn)
+    settings, tuning, own = run.settings.cloud, run.settings.tuning.cloud, partial(read_depth, folder=run.folder)
+    voxel = settings.voxel_size or automatic_voxel(sorted(plans), own, tuning.sampled_maps, run.map)
+    settings = settings.model_copy(update={"voxel_size": voxel})
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, files.world_origin(run.folder), mapper)
     sigmas = _sigmas(run, fused.clouds())
     said = accuracy_said(run, sigmas)
@@ -180,6 +193,9 @@ def cloud(run: Run) -> Outcome:
     if agreement is not None and agreement.why_not:
         notes.append(agreement.note())
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
+    moved = run.receipts.read("dense")["counts"]["pixels"] - counts["pixels"] - counts["uncertain"]
+    if moved and any(p.elsewhen for p in plans.values()):
+        notes.append(f"{moved} pixels of the depth maps were left out: other passes see through what was there")
     return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
 
 

@@ -169,28 +169,33 @@ def refine(run: Run) -> Outcome:
     scene = files.checked(run)
     known: dict[str, tuple[np.ndarray, waterline.Lines | None]] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, by the setting",)
+    water: float | None = None
     if run.settings.refine.geometry == "auto":
-        known, notes = _known(run, scene)
+        known, water, notes = _known(run, scene)
     todo = [(n, known.get(n)) for n in scene.names if not files.mask_path(run.path(files.FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
     run.map(_final_item, todo, run.folder, run.settings.tuning.masks)
     used = np.array(run.map(_used, scene.names, run.folder))  # (N, 2): before, now
     changed = int((used[:, 0] != used[:, 1]).sum())
     counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
+    counts |= {} if water is None else {"water_height": round(water, 3)}
     return Outcome(counts, notes=notes, tables=_tables(run, scene))
 
 
-def _known(run: Run, scene: Scene) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], tuple[str, ...]]:
+def _known(
+    run: Run, scene: Scene
+) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], float | None, tuple[str, ...]]:
     """Data of the model for each registered image: points (K, 2) f4 in it, shares of width and height, also hidden
-    ones; its waterline and horizon, None if no ring of cameras defines the vertical. And notes."""
+    ones; its waterline and horizon, None if no ring of cameras defines the vertical. The height of the water in the
+    world, and notes."""
     if not any(files.classes_path(run.folder, n).exists() for n in scene.names):
-        return {}, ("the first masks do not say what is sky and water: they are the final ones",)
+        return {}, None, ("the first masks do not say what is sky and water: they are the final ones",)
     model = files.load_model(run.path("sparse", "world"))
     least = run.settings.tuning.masks.refine.least_track
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
-    lines, notes = _lines(run, scene, model, points)
-    return {n: (seen[n], lines.get(n)) for n in seen}, ("no sky where the model has points", *notes)
+    lines, water, notes = _lines(run, scene, model, points)
+    return {n: (seen[n], lines.get(n)) for n in seen}, water, ("no sky where the model has points", *notes)
 
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -208,8 +213,8 @@ def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[
 
 def _lines(
     run: Run, scene: Scene, model: pycolmap.Reconstruction, points: np.ndarray
-) -> tuple[dict[str, waterline.Lines], tuple[str, ...]]:
-    """Waterline and horizon of each registered image by the model, with notes."""
+) -> tuple[dict[str, waterline.Lines], float | None, tuple[str, ...]]:
+    """Waterline and horizon of each registered image by the model, the height of the water, and notes."""
     poses = {i.name: i.cam_from_world() for i in model.images.values() if i.has_pose}
     matrices = np.full((len(scene), 4, 4), np.nan)
     for k, name in enumerate(scene.names):
@@ -218,7 +223,7 @@ def _lines(
     side = scene.of_role("side")
     up = up_vector(matrices[side], scene.frame[side], run.settings.tuning.sfm.world.up)
     if up is None or not up.ring:
-        return {}, ("no ring of cameras defines the vertical: the water stays as it was learnt",)
+        return {}, None, ("no ring of cameras defines the vertical: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
     tuning = run.settings.tuning.masks.waterline
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
@@ -230,12 +235,11 @@ def _lines(
     )
     lines = {name: waterline.lines_of(view, up.direction, water) for name, view in views.items()}
     if water is None:
-        return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
-    unit = files.world_unit(run.folder)
-    return lines, (
-        f"water {water.depth:.3g} {unit} below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
-        "out to the banks of the model; no sky below the horizon",
-    )
+        return lines, None, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
+    unit, middle = files.world_unit(run.folder), np.median([v.centre for v in views.values()], axis=0)
+    height = float(middle[2] - (middle @ up.direction - water.level) / up.direction[2])
+    depth = f"water {water.depth:.3g} {unit} below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g})"
+    return lines, height, (f"{depth}, out to the banks of the model; no sky below the horizon",)
 
 
 def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, waterline.View]:

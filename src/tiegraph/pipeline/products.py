@@ -19,8 +19,8 @@ from tiegraph.pipeline.dense import Pictures, accuracy_said, known_depth
 from tiegraph.pipeline.files import CLOUD, checked, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.products import ortho, terrain
 from tiegraph.products.heights import height_tile, margin
-from tiegraph.products.raster import PICTURE_PX, Place, hillshade, overview, read_window, relief, write_raster
-from tiegraph.products.surface import MAP, Surface, Survey, Window, choose
+from tiegraph.products.raster import PICTURE_PX, Place, hangs, hillshade, overview, read_window, relief, write_raster
+from tiegraph.products.surface import Surface, Survey, Window, choose
 from tiegraph.products.tuning import Tuning
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -82,7 +82,7 @@ class OnSurface:
 
     def heights(self, window: Window, step: int = 1) -> np.ndarray:
         """w of a window or its blocks, as written."""
-        return self.read("dsm", window, step) - np.float32(self.surface.offset[2])
+        return self.surface.w(self.read("dsm", window, step))
 
     def read(self, name: str, window: Window, step: int = 1) -> np.ndarray:
         """Lengths of a raster in a window or its blocks."""
@@ -109,11 +109,6 @@ _STYLE = style(
     {"line_color": "150,90,40,255", "line_width": "0.15", "line_width_unit": "MM"},
     by=("outlineWidth", "if(&quot;index&quot;, 0.4, 0.15)"),
 )
-
-
-def wanted(surface: Surface, place: Place) -> bool:
-    """Whether a surface has a terrain: a map with a scale at which a house differs from a hill."""
-    return surface.name == MAP and place.unit == "m"
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +172,7 @@ class TerrainWork(OnSurface):
         w, sigma = self.heights(around), self.read("sigma", around)
         w, sigma = terrain.terrain_tile(w, sigma, self._kept("low"), self._kept("ground"), window, self.tuning.terrain)
         drawn = terrain.ground_cells(w, sigma, np.isfinite(w), self._drawn)
-        dtm = w + np.float32(self.surface.offset[2])
+        dtm = self.surface.heights(w)
         save_npz(self.scratch("terrain", window), dtm=dtm, sigma=sigma, drawn=drawn[0], drawn_sigma=drawn[1])
 
     @property
@@ -198,7 +193,7 @@ class TerrainWork(OnSurface):
         """The points of the cloud over a tile, of class 2 (ground) where they lie on the terrain, else 1."""
         with reading(self.folder / CLOUD):
             points = copc_box(self.folder / CLOUD, self.place.origin, *self.surface.above(window))
-        w = self.read("dtm", window.grown(1)) - np.float32(self.surface.offset[2])
+        w = self.surface.w(self.read("dtm", window.grown(1)))
         here, on_ground = terrain.on_terrain(points, self.surface, window, w, self.read("dtm_sigma", window))
         record = las_points(points.where(here), header)
         record.classification = np.where(on_ground, 2, 1).astype(np.uint8)
@@ -283,14 +278,15 @@ def products(run: Run) -> Outcome:
         sample = copc_sample(run.path(CLOUD), place.origin, 100_000)  # points of the cloud that determine the surfaces
     shift, unroll = shift_of(place.origin), run.settings.products.unroll
     path = _path(checked(run), views) if unroll else np.zeros((0, 3))
-    survey = Survey(sample, views, counted["voxel"], shift=shift, unit=place.unit, path=path)
+    water = run.receipts.read("refine")["counts"].get("water_height")
+    survey = Survey(sample, views, counted["voxel"], shift=shift, unit=place.unit, path=path, water=water)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
     about = {"place": place, "tuning": tuning, "tile": TILE}
     work = [_Work(run.folder, s, **about, pictures=pictures) for s in surfaces]
     bare = [
         TerrainWork(run.folder, s, **about, objects_m=run.settings.products.objects_m)
         for s in surfaces
-        if wanted(s, place)
+        if place.has_terrain(s)
     ]
     steps = [step for each in (*work, *bare) for step in each.steps()]
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
@@ -307,6 +303,7 @@ def products(run: Run) -> Outcome:
                     temporary.mkdir()
                     make(target.parent, temporary)
     notes += [each.said() for each in bare]
+    notes += [hangs(each.path("dsm.tif"), each.surface, place.unit) for each in work if each.surface.from_below]
     if surfaces and place.unit != "m":
         notes.append("the model has no scale: lengths are in its own units")
     counts = {"surfaces": len(surfaces), "pixels": sum(s.shape[0] * s.shape[1] for s in surfaces)}
@@ -343,7 +340,7 @@ class _Work(OnSurface):
         with reading(self.folder / CLOUD):
             points = copc_box(self.folder / CLOUD, self.place.origin, *around)
         w, sigma = height_tile(points, self.surface, window, self.tuning.heights)
-        save_npz(self.scratch("heights", window), dsm=w + np.float32(self.surface.offset[2]), sigma=sigma)
+        save_npz(self.scratch("heights", window), dsm=self.surface.heights(w), sigma=sigma)
 
     def finish_heights(self) -> None:
         """The rasters of heights, of their sigmas and of shades, and a picture of the heights."""

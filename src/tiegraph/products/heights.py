@@ -42,8 +42,8 @@ def cells(points: Cloud, surface: Surface, window: Window, tuning: HeightTuning)
     row = np.floor((surface.high[1] - uvw[:, 1]) / surface.pixel_m).astype(int) - window.row
     use = (row >= 0) & (column >= 0) & (row < window.rows) & (column < window.columns)
     use &= (uvw[:, 2] >= surface.low[2]) & (uvw[:, 2] <= surface.high[2])
-    outwards = surface.frame.gradients(*uvw.T)[:, 2]
-    use &= ~(np.sum(points.normal * outwards, axis=1) < -tuning.backward)
+    facing = np.sum(points.normal * surface.frame.gradients(*uvw.T)[:, 2], axis=1)
+    use &= facing > tuning.backward if surface.from_below else ~(facing < -tuning.backward)
     w, cell = uvw[use, 2], (row * window.columns + column)[use]
     known = np.nan_to_num(points.sigma_m[use].astype(float), nan=surface.pixel_m)
     order = np.lexsort((points.xyz_m[use, 1], points.xyz_m[use, 0], -w, cell))

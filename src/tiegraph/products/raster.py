@@ -66,9 +66,14 @@ class Place:
     unit: str = "m"
     said: str = ""
 
+    def has_terrain(self, surface: Surface) -> bool:
+        """Whether a surface has a terrain: a map with a scale at which a house differs from a hill."""
+        return surface.name == MAP and self.unit == "m"
+
     def crs(self, surface: Surface) -> rasterio.crs.CRS:
-        """Of a map that of the world, if it has one; else a local one. Raises InputError for one without metres."""
-        if surface.name == MAP and self.origin is not None and self.origin.crs != ENU:
+        """Of a level surface that of the world, if it has one; else a local one. Raises InputError for one without
+        metres."""
+        if surface.level and self.origin is not None and self.origin.crs != ENU:
             return rasterio.crs.CRS.from_wkt(parse_crs(self.origin.crs).to_wkt())
         axes = " and ".join(surface.axes[:2])
         unit = "" if self.unit == "m" else " in units of the model"  # GeoTIFF knows no unit without a length
@@ -84,7 +89,7 @@ class Place:
             axis = np.c_[frame.stations, frame.nodes + shift][:, : 4 if frame.tube else 3]
             return {"axis": axis.tolist(), "radius": frame.radius if frame.tube else None}
         to_world = transforms.rigid(np.eye(3), -shift)
-        matrix = transforms.rigid(np.eye(3), surface.offset) @ frame.surface_from_world @ to_world
+        matrix = surface.file_from_uvw @ frame.surface_from_world @ to_world
         return {"surface_from_crs": matrix.tolist()}
 
     def described(self, surface: Surface) -> dict:
@@ -212,6 +217,16 @@ def relief(path: Path, width: int, unit: str, lines: Sequence[Line] = ()) -> byt
         if line.index and np.linalg.norm(np.diff(at, axis=0), axis=1).sum() > _LABELLED_PX:
             _write(drawn, f"{line.w:g}", at[len(at) // 2].astype(int))
     return _jpeg(np.concatenate([drawn, _scale(drawn.shape[1], low, high, unit)]))
+
+
+def hangs(path: Path, surface: Surface, unit: str) -> str:
+    """How low an underside hangs by its raster of heights, in words."""
+    heights = averages(path, PICTURE_PX)[0]
+    if not np.isfinite(heights).any():
+        return f"{surface.name}: no height is known"
+    low, middle = np.nanquantile(heights, [0.01, 0.5])
+    above = surface.zero and f" above {surface.zero}"
+    return f"{surface.name}: 99 % of it hang {low:.2f} {unit}{above} or higher, half {middle:.2f} {unit}"
 
 
 def _jpeg(bgr: np.ndarray) -> bytes:

@@ -11,9 +11,9 @@ from tiegraph.settings import Section
 class ProductsSettings(Section):
     """Delivered rasters: surface model, its sigma, true orthophoto; of a map, of elevations of walls, or unrolled."""
 
-    make: Literal["auto", "none", "map", "elevations", "both"] = "auto"
+    make: Literal["auto", "none", "map", "elevations", "both", "undersides"] = "auto"
     """Rasters to make; auto = a map where cameras look down, elevations of the largest walls where they look
-    sideways."""
+    sideways, and the undersides of what hangs over cameras, such as bridges."""
     pixel_m: float | None = Field(None, gt=0, le=1000)
     """Size of a pixel in metres (units of the model without georeference; default: by what the images resolve and how
     dense the points are, rounded up)."""

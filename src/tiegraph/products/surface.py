@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
@@ -20,10 +22,11 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import evenly
 
 NODATA = -9999.0
-MAP = "map"
+MAP, UNDERSIDE = "map", "underside"
 _SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
 _FEWEST = 10  # points on a reference plane at least
 _FITTED = 5000  # points by which a curved one is found
+_ENDS = 0.005  # share of the points beyond each end of a surface, which may be strays
 _EDGE = 33  # places along an edge of a window of a curved surface
 
 
@@ -49,7 +52,8 @@ class Surface:
     the share of the points that it has (NaN = not found by its points).
 
     Files have (u, v, w) plus ``offset`` (3,): for a map the shift to its CRS, for a wall its height. There the
-    corners in u and v are whole pixels; row 0 lies at the largest v.
+    corners in u and v are whole pixels; row 0 lies at the largest v. A surface seen from below has w downwards, and
+    heights in its files, from ``zero``.
     """
 
     name: str
@@ -59,12 +63,38 @@ class Surface:
     pixel_m: float = 0.0
     share: float = float("nan")
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    zero: str = ""
+
+    @property
+    def from_below(self) -> bool:
+        """Whether it is seen from below."""
+        return self.name.startswith(UNDERSIDE)
+
+    @property
+    def level(self) -> bool:
+        """Whether it lies in the CRS, as a map."""
+        return self.name == MAP or self.from_below
+
+    @property
+    def file_from_uvw(self) -> np.ndarray:
+        """(4, 4) from (u, v, w) to the coordinates of the files."""
+        return transforms.rigid(np.diag([1.0, 1.0, -1.0 if self.from_below else 1.0]), self.offset)
+
+    def heights(self, w: np.ndarray) -> np.ndarray:
+        """w (...) as the files have it."""
+        turn, shift = self.file_from_uvw[2, 2:].astype(np.float32)
+        return turn * w + shift
+
+    def w(self, heights: np.ndarray) -> np.ndarray:
+        """The inverse of ``heights``."""
+        turn, shift = self.file_from_uvw[2, 2:].astype(np.float32)
+        return turn * (heights - shift)
 
     @property
     def axes(self) -> tuple[str, ...]:
         """The directions of u, v and w in words."""
-        if self.name == MAP:
-            return "east", "north", "up"
+        if self.level:
+            return "east", "north", f"up{self.zero and f' from {self.zero}'}"
         if self.frame.tube:
             return "along the axis", "round from the crown", "towards the axis"
         return "along the wall", "up", "out of the wall"
@@ -126,8 +156,8 @@ def rounded_up(size: float, series: Sequence[float]) -> float:
 @dataclass(frozen=True, eq=False)
 class Survey:
     """Data for the choice: a sample of the cloud, the images, the points' spacing, the shift (3,) from the world to
-    the CRS, and the path (F, 3) of the cameras in its order; lengths in ``unit`` (m, or units of a model without
-    scale)."""
+    the CRS, the path (F, 3) of the cameras in its order, and the height of the water if it is known; lengths in
+    ``unit`` (m, or units of a model without scale)."""
 
     sample: Cloud
     views: Sequence[Pinhole]
@@ -135,6 +165,7 @@ class Survey:
     shift: np.ndarray
     unit: str = "m"
     path: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    water: float | None = None
 
     @property
     def centres(self) -> np.ndarray:
@@ -171,6 +202,8 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
         found.append(_given(survey, settings.plane, tuning))  # type: ignore[arg-type]
     elif wants_walls:
         found += walls(survey, tuning)
+    if (auto and settings.unroll is None) or settings.make == "undersides":
+        found += undersides(survey, tuning)
     lean = f"{abs(np.degrees(np.arcsin(down))):.0f} deg {'down' if down > 0 else 'up'}"
     looks = f"{sideways:.0%} of the cameras look sideways, all on average {lean}"
     if not found:
@@ -211,6 +244,42 @@ def walls(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
         name = f"elevation{len(found) + 1}"
         found.append(Surface(name, Frame(plane), low=low, high=high, share=share))
         free[at] &= np.abs(transforms.apply(plane, xyz[at])[:, 2]) > deep
+    return found
+
+
+def undersides(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
+    """What hangs over cameras, such as the deck of a bridge or a ceiling, from below: a surface for each connected part
+    that has enough of all such points, the largest first. Parts are cells in plan as wide as the points hang high."""
+    xyz, cameras = survey.sample.xyz_m, survey.centres
+    nearest = cKDTree(cameras[:, :2]).query(xyz[:, :2])[1]
+    high = xyz[:, 2] - cameras[nearest, 2]
+    hangs = (survey.sample.normal[:, 2] < -np.cos(np.radians(tuning.upright_deg))) & (high > 0)
+    if hangs.sum() < _FEWEST:
+        return []
+    own, size = xyz[hangs], np.median(high[hangs])
+    low = np.minimum(own.min(axis=0), cameras.min(axis=0))[:2]
+    cell, under = (((places[:, :2] - low) / size).astype(int) for places in (own, cameras))
+    grid = np.zeros(np.maximum(cell.max(axis=0), under.max(axis=0)) + 1, bool)
+    grid[tuple(cell.T)] = True
+    parts, _ = ndimage.label(grid, np.ones((3, 3)))
+    part, passed = parts[tuple(cell.T)], parts[tuple(under.T)]
+    count = np.bincount(part)
+    found = []
+    for k in sorted(set(passed[passed > 0]), key=lambda k: -count[k]):
+        if count[k] < tuning.least_share * len(own):
+            break
+        (left, lower, _), (right, upper, top) = np.quantile(own[part == k], [_ENDS, 1 - _ENDS], axis=0)
+        camera = float(np.median(cameras[passed == k, 2]))
+        found.append(
+            Surface(
+                f"{UNDERSIDE}{len(found) + 1}",
+                Frame(np.diag([1.0, 1.0, -1.0, 1.0])),
+                low=np.array([left, lower, -top - size]),
+                high=np.array([right, upper, -camera]),
+                share=float(count[k] / len(xyz)),
+                zero="" if survey.water is None else "the water",
+            )
+        )
     return found
 
 
@@ -289,7 +358,7 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
     """The least and the greatest of values as far as they follow each other: strays lie beyond a gap of a twentieth of
     the range of the middle 99 %."""
     ordered = np.sort(values)
-    low, high = np.quantile(ordered, [0.005, 0.995])
+    low, high = np.quantile(ordered, [_ENDS, 1 - _ENDS])
     gap = np.diff(ordered) > (high - low) / 20
     before, behind = np.flatnonzero(gap & (ordered[1:] <= low)), np.flatnonzero(gap & (ordered[:-1] >= high))
     return ordered[before[-1] + 1 if len(before) else 0], ordered[behind[0] if len(behind) else -1]
@@ -311,7 +380,9 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # given limits are kept
     high = np.where(np.isfinite(surface.high), surface.high, np.append(high, 0.0))
     frame, offset = surface.frame, survey.shift
-    if surface.name != MAP:  # u counts from the left end, v is the height, or counts from the crown
+    if surface.from_below and survey.water is not None:
+        offset = np.append(offset[:2], -survey.water)
+    if not surface.level:  # u counts from the left end, v is the height, or counts from the crown
         offset = np.array([0.0, 0.0 if frame.tube else survey.shift[2], 0.0])
         from_left = transforms.rigid(np.eye(3), np.array([-low[0], 0, 0]))
         frame = replace(frame, surface_from_world=from_left @ frame.surface_from_world)

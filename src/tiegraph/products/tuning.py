@@ -40,7 +40,8 @@ class HeightTuning(Section):
     """Points of a cell with a common error, by the matcher's windows: on the walls of
     `canal_demo` points up to 5 spacings apart differ by 0.5 to 0.7 of their sigmas."""
     backward: float = Field(0.3, ge=0, le=1)
-    """Points whose normals point this far away from w are not seen from outside: the underside of a bridge."""
+    """Points whose normals point this far away from w are not seen from outside: the underside of a bridge. The points
+    of an underside itself point towards w by this much: the fronts of houses above the cameras do not belong to it."""
     hole_px: int = Field(5, ge=1, le=50)
     """Holes of up to about twice this width are interpolated, in pixels."""
     lone: int = Field(4, ge=1)
