@@ -240,7 +240,8 @@ class Surface:
         agrees = np.abs(relative) <= tolerance
         # Our ray meets their surface, taken as parallel to their image, a little further on; oblique ones are held back
         said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], 0.3)
-        return Seen(possible, agrees, relative > 1.5 * tolerance, said, relative_sigma)
+        through = relative > 1.5 * tolerance
+        return Seen(possible=possible, agrees=agrees, through=through, said=said, relative_sigma=relative_sigma)
 
     def at(self, column: np.ndarray, row: np.ndarray, max_relative: float) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and
