@@ -64,7 +64,7 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=3,
            changes=("database.db",), clear=lambda folder: _module("match").forget_matches(folder),
            scratch=("database.db.match",), tuned=("features",)),
-    _stage("sparse", ("preview", "coarse", "network", "match"), ("sparse",), version=37,
+    _stage("sparse", ("preview", "coarse", "network", "match"), ("sparse",), version=39,
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),
     _stage("georef", ("network", "match", "sparse"), ("sparse/world", "world.json"), version=29,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),

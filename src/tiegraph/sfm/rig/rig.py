@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.geometry.align import Similarity, l1_mean_rotation, rms_length, robust_umeyama
 from tiegraph.scene.colmapmodel import image_poses, rigid3d, sensor_id
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
@@ -84,7 +86,8 @@ def derive_rig(
     no two sensors are rigid.
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline
-    (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was. Lengths
+    (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was, and one
+    that no frame shows together with any, such as a camera that looks up, by its motion in a model of its own. Lengths
     are in units of the first model. The MAD of each sensor is the test of rigidity and synchronisation; a sensor that
     fails it is left out.
     """
@@ -93,7 +96,8 @@ def derive_rig(
     found: dict[int, np.ndarray] = {0: np.eye(4)}
     held: dict[int, _Scatter] = {}
     left_out: dict[int, str] = {}
-    relative = _relative_poses(scene, index, [image_poses(m, scene) for m in models])
+    poses = [image_poses(m, scene) for m in models]
+    relative = _relative_poses(scene, index, poses)
     while True:
         ready = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found and b not in left_out}
         if not ready:
@@ -104,6 +108,13 @@ def derive_rig(
             left_out[b] = why
         else:
             found[b], held[b] = average @ found[a], scatter
+    for b in sorted(set(range(len(names))) - set(found) - set(left_out)) if len(found) > 1 else ():
+        motions = [_motions(scene, index, found, b, poses[0], own) for own in poses[1:]]
+        rig_poses, own = max(motions, key=lambda m: len(m[0]), default=(np.zeros(0),) * 2)
+        arm = max(float(np.linalg.norm(transforms.centre(t))) for t in found.values())
+        place = hand_eye(rig_poses, own, arm, tuning) if len(rig_poses) >= 2 * tuning.min_frames else None
+        if place is not None:
+            found[b], held[b] = place
     for b in range(len(names)):
         if b not in found:
             left_out.setdefault(b, "no frame shows it together with the others in one model")
@@ -140,6 +151,74 @@ def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> di
             scaled[:3, 3] *= unit / length if length > 0 else 1.0
             out.setdefault((int(scene.sensor[a]), int(scene.sensor[b])), []).append(scaled)
     return {key: np.stack(steps) for key, steps in out.items()}
+
+
+def _motions(
+    scene: Scene, index: int, found: Mapping[int, np.ndarray], sensor: int, poses: np.ndarray, own: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 4, 4) rig_from_world of the frames of a rig in one model, by their sensors whose extrinsics are found, and
+    sensor_from_world of another sensor at these frames in another model."""
+    of_rig = np.flatnonzero(scene.rig[scene.frame] == index)
+    there = {int(scene.frame[k]): k for k in of_rig if scene.sensor[k] == sensor and np.isfinite(own[k]).all()}
+    known = [k for k in of_rig if int(scene.sensor[k]) in found and np.isfinite(poses[k]).all()]
+    placed = {int(scene.frame[k]): transforms.invert(found[int(scene.sensor[k])]) @ poses[k] for k in known}
+    both = sorted(there.keys() & placed.keys())
+    rows = [placed[f] for f in both], [own[there[f]] for f in both]
+    return tuple(np.array(r).reshape(-1, 4, 4) for r in rows)  # type: ignore[return-value]
+
+
+def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning) -> tuple[np.ndarray, _Scatter] | None:
+    """Extrinsics (4, 4) of a sensor by K frames' poses rig_from_world (K, 4, 4) in one model and sensor_from_world in
+    another, whose similarity to the first is unknown too; None where the motion does not determine its rotation, or
+    contradicts a rigid mounting (robot-world calibration: Dornaika and Horaud 1998).
+
+    Least squares over both, on the frames whose places agree: a camera that looks up has poses of its own only where it
+    sees more than sky. A path that is nearly straight determines the roll of the similarity by rotations only, so
+    several rolls are tried. What the motion leaves open of the lever arm, it has from its prior: zero, with the sigma
+    ``arm``, how far the other sensors are from each other.
+    """
+    reach = rms_length(transforms.centre(rig) - transforms.centre(rig).mean(axis=0))
+    noise = 0.02 * reach
+    start, near = robust_umeyama(transforms.centre(own), transforms.centre(rig), noise)
+    rig, own = rig[near], own[near]
+    if len(rig) < 2 * tuning.min_frames:
+        return None
+    centres, theirs = transforms.centre(rig), transforms.centre(own)
+    middle = centres.mean(axis=0)
+    axis = np.linalg.svd(centres - middle, full_matrices=False)[2][0]
+
+    def mounted(x: np.ndarray, near: Similarity) -> tuple[np.ndarray, Similarity]:
+        similarity = near.stepped(x[:7], middle)
+        turns = own[:, :3, :3] @ similarity.rotation.T @ np.swapaxes(rig[:, :3, :3], 1, 2)
+        return turns, similarity
+
+    def residuals(x: np.ndarray, near: Similarity, turn: np.ndarray) -> np.ndarray:
+        turns, similarity = mounted(x, near)
+        off = Rotation.from_matrix(turns @ turn.T @ Rotation.from_rotvec(x[7:10]).as_matrix().T).as_rotvec()
+        lever = np.einsum("kji,j->ki", rig[:, :3, :3], x[10:])
+        apart = similarity(theirs) - centres - lever
+        weak = np.r_[1e-3 * reach * x[7:10], noise / arm * x[10:]]  # what the motion leaves open stays, and is unsure
+        return np.r_[(reach * off).ravel(), apart.ravel(), weak]
+
+    best = None
+    for roll in np.linspace(0, 2 * np.pi, 12, endpoint=False):  # starts
+        turned = Rotation.from_rotvec(roll * axis).as_matrix()
+        near = Similarity(start.scale, turned @ start.rotation, turned @ (start.translation - middle) + middle)
+        turn = l1_mean_rotation(mounted(np.zeros(13), near)[0])
+        fit = least_squares(residuals, np.zeros(13), loss="cauchy", f_scale=noise, args=(near, turn))
+        if best is None or fit.cost < best[0].cost:
+            best = fit, near, turn
+    fit, near, turn = best  # type: ignore[misc]
+    turns, _ = mounted(fit.x, near)
+    rotation = Rotation.from_rotvec(fit.x[7:10]).as_matrix() @ turn
+    angles = transforms.angle_deg(turns, rotation)
+    scatter = _Scatter(len(rig), float(np.median(angles)), float(np.mean(angles > tuning.outlier_deg)))
+    freedom = 6 * len(rig) - 13
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * 2 * fit.cost / freedom
+    unsure = np.degrees(np.sqrt(np.diag(covariance)[7:10].max()))
+    if scatter.why_not(tuning) or not unsure < tuning.max_scatter_deg:
+        return None
+    return transforms.rigid(rotation, -rotation @ fit.x[10:]), scatter
 
 
 def _average(stack: np.ndarray, outlier_deg: float) -> tuple[np.ndarray, _Scatter]:
