@@ -12,8 +12,8 @@ import pycolmap
 
 from benchmarks.datasets import Dataset, Mark, pose_centre
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
+from tiegraph.geometry.transforms import Similarity, robust_umeyama, umeyama
 from tiegraph.scene.colmapmodel import agreeing_points
 from tiegraph.scene.tuning import RegisteredTuning
 

@@ -26,7 +26,7 @@ import pycolmap  # isort: skip
 from benchmarks import datasets, variants
 from benchmarks.conditions import worsened
 from benchmarks.table import line, put
-from tiegraph.features import nearest
+from tiegraph.features import matchers
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import extract_image
 from tiegraph.features.tuning import Tuning
@@ -103,7 +103,7 @@ def underside(folder: Path, settings: FeaturesSettings, ratio: float) -> str:
         counts = np.zeros(2, int)
         for k in range(len(names) - apart):
             (points, one), (others, other) = found[k], found[k + apart]
-            rows = nearest.matches(one, other, pycolmap.SiftMatchingOptions(max_ratio=ratio))
+            rows = matchers.matches(one, other, pycolmap.SiftMatchingOptions(max_ratio=ratio))
             a, b = truth[names[k]], truth[names[k + apart]]
             relative = b.cam_from_world() * a.cam_from_world().inverse()
             across = np.cross(relative.translation, relative.rotation.matrix(), axisb=0, axisc=0)

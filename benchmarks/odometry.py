@@ -33,7 +33,7 @@ import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import odometrychecks
 from benchmarks.datasets import data_root
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.rig import Rig, Sensor

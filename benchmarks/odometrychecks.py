@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import tiegraph  # noqa: F401  before pycolmap
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.odometry.cameras import cameras_of
 from tiegraph.odometry.odometry import Odometry, OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning

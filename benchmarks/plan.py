@@ -26,7 +26,7 @@ from benchmarks.closerange import world
 from benchmarks.sfm.finished import arguments, each_run
 from benchmarks.sigma import reference_poses
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline.plan import plan, reached
 from tiegraph.plan.planner import comparison
 from tiegraph.plan.request import CameraRequest, ImageRequest, PathRequest, PlanRequest, WorldRequest

@@ -29,7 +29,7 @@ from benchmarks import datasets
 from benchmarks.sfm.agree import centres, compare
 from benchmarks.sfm.finished import arguments, each_run
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.transforms import Similarity, umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.adjustment.constraints import nominal_geometry

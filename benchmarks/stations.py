@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.lidar.scans import read_scan_poses
 from tiegraph.stations.joined import join, prepared
 from tiegraph.stations.loops import motion

@@ -28,7 +28,7 @@ from benchmarks import accuracy, datasets
 from benchmarks.confront import sets
 from benchmarks.confront.given import write
 from benchmarks.sigma import reference_poses
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 
 UNTIL = "georef"
 _DRIVER = "import json, sys, tiegraph\nif __name__ == '__main__':\n    given = json.loads(sys.argv[1])\n"

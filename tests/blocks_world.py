@@ -7,7 +7,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor

@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene

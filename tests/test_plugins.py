@@ -18,7 +18,7 @@ from tiegraph.features.matchblocks import Rules, match_pairs
 from tiegraph.features.matchers import Features, matcher
 from tiegraph.features.settings import MatchSettings
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline.dense import depth_path
 from tiegraph.pipeline.files import read_mask
 from tiegraph.plugins import chosen

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.confront.given import Given
 from benchmarks.confront.said import Said
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
+from tiegraph.geometry.transforms import Similarity, umeyama
 
 VERDICTS = ("right", "said", "silent", "alarm", "failed", "crashed")
 SIGMAS = 3.0

@@ -26,7 +26,7 @@ from benchmarks.confront.faults import (
 from benchmarks.confront.given import Given, Picture, of_dataset, read_positions
 from benchmarks.sfm.georef import ANTENNA
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 
 # Of the truth itself. Strecha and KITTI: what another program's model says too (benchmarks/sfm/README.md, agree.py);
 # PandaSet: how well the images fit its poses (0.019 m), which agree with its GNSS to 4 cm.

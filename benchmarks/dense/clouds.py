@@ -42,8 +42,7 @@ from tiegraph.dense.undistort import load_view, pinhole_of
 from tiegraph.evaluate.clouds.nearest import Cameras, cloud_to_cloud, criteria_of, nearest
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.tuning import CloudTuning as JudgedCloud
-from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.geometry.transforms import apply
+from tiegraph.geometry.transforms import Similarity, apply, umeyama
 from tiegraph.pipeline.dense import coloured
 from tiegraph.scene.cloudchunks import open_cloud, points_of
 from tiegraph.scene.cloudfile import write_cloud

@@ -26,7 +26,7 @@ from PIL import Image
 from tiegraph.cloud.fuse import Maps, fuse, map_points
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.plan import ImagePlan
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline.dense import coloured, plan_of
 from tiegraph.pipeline.files import FINAL, load_model
 from tiegraph.project.inputs import Inputs

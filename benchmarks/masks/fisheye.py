@@ -19,7 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import tiegraph  # before pycolmap
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline.files import load_model
 
 SIDE, CIRCLE_DEG, FRAMES, SEED = 480, 100.0, 16, 5

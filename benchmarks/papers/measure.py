@@ -21,7 +21,7 @@ from benchmarks.papers import scenes
 from benchmarks.papers.ours import ours
 from tiegraph.api import open_project
 from tiegraph.child import run_in_child
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.papers import colmap
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import position_sigma

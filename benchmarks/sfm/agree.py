@@ -21,7 +21,7 @@ import pycolmap  # isort: skip
 
 from benchmarks import datasets
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 
 
 def main() -> None:

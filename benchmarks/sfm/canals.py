@@ -29,8 +29,8 @@ import numpy as np
 
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import datasets, variants
-from tiegraph.geometry.align import PlacementError, robust_umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
+from tiegraph.geometry.transforms import PlacementError, robust_umeyama
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.shape import SHAPE, Shape

@@ -31,8 +31,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks import datasets
 from benchmarks.sfm.corridor import Corridor, corridor
 from tiegraph.errors import TiegraphError
-from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline.files import load_npz
 from tiegraph.project.settings import Settings
 from tiegraph.scene.colmapmodel import image_poses

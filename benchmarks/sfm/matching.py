@@ -1,7 +1,7 @@
 """Our search for matches beside COLMAP's: ``python -m benchmarks.sfm.matching RUN ... --pairs 50``.
 
 For pairs of finished runs, drawn by chance from those that were compared: CPU ms a pair, matches and inliers, by
-descriptors of seven bits (``features/nearest.py``), by those of eight as they are (by NumPy; the matches of COLMAP's
+descriptors of seven bits (``features/matchers.py``), by those of eight as they are (by NumPy; the matches of COLMAP's
 exact matcher, which takes seconds a pair), and by COLMAP's default, an approximate index. COLMAP verifies all three
 with our rules.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.features import matchblocks, nearest
+from tiegraph.features import matchblocks, matchers
 from tiegraph.features.matchblocks import Rules
 from tiegraph.scene.colmapdatabase import match_counts
 from tiegraph.scene.pairs import Pairs
@@ -27,12 +27,12 @@ from tiegraph.scene.pairs import Pairs
 
 @contextmanager
 def _eight_bits() -> Iterator[None]:
-    saved = nearest._nearest, nearest.rounded, nearest.NORM
-    nearest._nearest, nearest.rounded, nearest.NORM = None, np.asarray, 512.0
+    saved = matchers._nearest, matchers.rounded, matchers.NORM
+    matchers._nearest, matchers.rounded, matchers.NORM = None, np.asarray, 512.0
     try:
         yield
     finally:
-        nearest._nearest, nearest.rounded, nearest.NORM = saved
+        matchers._nearest, matchers.rounded, matchers.NORM = saved
 
 
 def _by(match: Callable[..., None], database: Path, block: np.ndarray) -> tuple[float, int, int]:

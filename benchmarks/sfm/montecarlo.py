@@ -25,7 +25,7 @@ import pycolmap  # isort: skip
 
 from benchmarks.sfm.corridor import FOCAL, HEIGHT, WIDTH, Corridor, camera_of, corridor
 from benchmarks.sfm.georef import receiver_rows, with_positions
-from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.transforms import Similarity, umeyama
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.covariance import PositionSigma, position_sigma

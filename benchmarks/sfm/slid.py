@@ -32,7 +32,7 @@ import tiegraph  # noqa: F401  before pycolmap
 import pycolmap  # isort: skip
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import robust_umeyama
+from tiegraph.geometry.transforms import robust_umeyama
 from tiegraph.scene.colmapmodel import image_poses, model_rigs, read_model
 from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.scene import Scene

@@ -36,8 +36,8 @@ from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewS
 from tiegraph.features.sift import evened, extract_sift
 from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import PlacementError, Similarity
 from tiegraph.geometry.gravity import up_vector
+from tiegraph.geometry.transforms import PlacementError, Similarity
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera

@@ -26,9 +26,9 @@ from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.evaluate.trajectory import evaluate_trajectory
 from tiegraph.evaluate.tuning import CloudTuning, M3c2Tuning, RegistrationTuning, Tuning
 from tiegraph.geometry import geodesy, transforms
-from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.coarse import start_of
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.scene.cloudchunks import Points, PointSource, points_of
 from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.results import Cloud, Metric, metrics_to_dict

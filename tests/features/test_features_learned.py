@@ -13,10 +13,9 @@ import pytest
 
 import tiegraph
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.features import nearest
-from tiegraph.features.learned import as_bytes, detected, network
+from tiegraph.features import matchers
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import extract_onnx
+from tiegraph.features.sift import as_bytes, detected, extract_onnx, network
 from tiegraph.features.tuning import SiftTuning
 from tiegraph.scene.colmapdatabase import Rows
 from tiegraph.scene.onnxfile import session
@@ -59,7 +58,7 @@ def test_bytes_match_as_the_numbers_of_the_network_do(length):
     of_other = np.sort(true, axis=0)[:2]
     clear = mutual & (best < 0.8 * second) & (of_other[0] < 0.8 * of_other[1])[true.argmin(axis=1)]
     want = {(int(k), int(true[k].argmin())) for k in np.flatnonzero(clear)}
-    got = {(int(i), int(j)) for i, j in nearest.matches(a, b, pycolmap.SiftMatchingOptions())}
+    got = {(int(i), int(j)) for i, j in matchers.matches(a, b, pycolmap.SiftMatchingOptions())}
     assert len(want) > 100 and len(want ^ got) < 0.03 * len(want)
 
 
@@ -67,7 +66,7 @@ def test_places_are_of_the_image_in_the_corner_convention(tiny):
     whole = texture(230, 300)
     one, first = detected(whole[:201, :247], tiny, 4000, 0.2)
     other, second = detected(whole[20:221, 37:284], tiny, 4000, 0.2)
-    i, j = nearest.matches(first, second, pycolmap.SiftMatchingOptions()).T
+    i, j = matchers.matches(first, second, pycolmap.SiftMatchingOptions()).T
     assert len(i) > 60
     right = np.abs(one[i] - other[j] - [37, 20]).max(axis=1) < 0.01
     assert right.mean() > 0.95
@@ -128,7 +127,7 @@ def test_a_run_with_a_network(tmp_path, tiny):
     project.run(until="features")
     with Rows(project.folder / "database.db") as rows:
         one, other = (rows.descriptors_of(k) for k in (1, 2))  # of one camera, one after the other
-    assert len(nearest.matches(one, other, pycolmap.SiftMatchingOptions())) > 15
+    assert len(matchers.matches(one, other, pycolmap.SiftMatchingOptions())) > 15
     receipt = project.folder / "receipts" / "features.json"
     before = receipt.read_bytes()
     project.run(until="features")

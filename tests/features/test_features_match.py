@@ -13,7 +13,7 @@ import pytest
 
 from features_world import FRAMES, features, filled_database, scene
 from tiegraph.errors import ChildDied, InputError, ReconstructionError
-from tiegraph.features import matchblocks, nearest
+from tiegraph.features import matchblocks, matchers
 from tiegraph.features.matchblocks import Rules, Side, match_pairs
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import feature_counts, match_counts, pair_ids, write_features
@@ -225,7 +225,7 @@ def test_a_block_that_ends_its_process_is_left_away_and_the_others_are_done(tmp_
     assert any("no result" in why for _, why in report.lost) and pairs.inliers.max() > 0
 
 
-KERNELS = nearest.kernels()
+KERNELS = matchers.kernels()
 
 
 def descriptors(count: int, seed: int) -> np.ndarray:
@@ -252,32 +252,32 @@ built = pytest.mark.skipif(not KERNELS, reason="the native module was not built:
 def test_a_kernel_finds_what_numpy_finds(kernel: str) -> None:
     for first, second in SIZES:
         a, b = both(first, second)
-        found, asked = nearest._nearest.search(a, b, kernel), nearest._searched(a, b)
+        found, asked = matchers._nearest.search(a, b, kernel), matchers._searched(a, b)
         assert all(np.array_equal(f, n) for f, n in zip(found, asked)), (first, second)
     a, b = np.full((40, 128), 255, np.uint8), np.full((3, 128), 255, np.uint8)
-    alike = pytest.approx([nearest.NORM**2] * 40, rel=0.002)
-    first, best, second = nearest._nearest.search(a, b, kernel)[0].tolist()
+    alike = pytest.approx([matchers.NORM**2] * 40, rel=0.002)
+    first, best, second = matchers._nearest.search(a, b, kernel)[0].tolist()
     assert first == [0] * 40 and best == second == alike
 
 
 @built
 def test_more_descriptors_than_a_kernel_counts_go_to_the_next() -> None:
     a, b = np.tile(descriptors(3, 1), (22000, 1)), descriptors(2, 1)[::-1]
-    found, _ = nearest.search(a, b)
+    found, _ = matchers.search(a, b)
     assert np.array_equal(found[0, -6::3], [1, 1]) and np.array_equal(found[0, -5::3], [0, 0])
     if "avx2" in KERNELS:
         with pytest.raises(ValueError, match="no kernel avx2 for 66000 descriptors"):
-            nearest._nearest.search(a, b, "avx2")
+            matchers._nearest.search(a, b, "avx2")
 
 
 def test_rounded_descriptors_have_one_length_and_keep_their_angles() -> None:
     a = np.concatenate([descriptors(500, 3), descriptors(500, 4) // 2, np.full((1, 128), 255, np.uint8)])
     lone = np.zeros((2, 128), np.uint8)
     lone[0, 5] = 255
-    small = nearest.rounded(np.concatenate([a, lone]))
+    small = matchers.rounded(np.concatenate([a, lone]))
     assert small.max() <= 127 and small[-2, 5] == 127 and not small[-1].any()
     lengths = np.linalg.norm(small[:-2].astype(float), axis=1)
-    off = abs(lengths / nearest.NORM - 1)  # large where the largest number of a descriptor had to be cut
+    off = abs(lengths / matchers.NORM - 1)  # large where the largest number of a descriptor had to be cut
     assert np.percentile(off, 90) < 0.005 and off.max() < 0.06 and np.all(lengths**2 <= 65535)
     cosines = [(x / np.linalg.norm(x, axis=1, keepdims=True)) @ (x / np.linalg.norm(x, axis=1, keepdims=True)).T
                for x in (a.astype(float), small[:-2].astype(float))]  # fmt: skip
@@ -287,10 +287,10 @@ def test_rounded_descriptors_have_one_length_and_keep_their_angles() -> None:
 
 def test_numpy_finds_the_two_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     a, b = both(65, 130)
-    whole = nearest._searched(a, b)
-    monkeypatch.setattr(nearest, "_BLOCK", 700)
-    assert all(np.array_equal(x, y) for x, y in zip(nearest._searched(a, b), whole))
-    dots = nearest.rounded(a).astype(int) @ nearest.rounded(b).astype(int).T
+    whole = matchers._searched(a, b)
+    monkeypatch.setattr(matchers, "_BLOCK", 700)
+    assert all(np.array_equal(x, y) for x, y in zip(matchers._searched(a, b), whole))
+    dots = matchers.rounded(a).astype(int) @ matchers.rounded(b).astype(int).T
     for found, table in zip(whole, (dots, dots.T)):
         assert np.array_equal(found[0], np.where(table.max(axis=1) > 0, table.argmax(axis=1), -1))
         assert np.array_equal(found[1:], np.sort(table, axis=1)[:, :-3:-1].T)
@@ -299,9 +299,9 @@ def test_numpy_finds_the_two_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) 
 @built
 def test_a_kernel_that_is_not_there_is_refused() -> None:
     with pytest.raises(ValueError, match="no kernel abacus"):
-        nearest._nearest.search(descriptors(2, 1), descriptors(2, 2), "abacus")
+        matchers._nearest.search(descriptors(2, 1), descriptors(2, 2), "abacus")
     with pytest.raises(TypeError):
-        nearest._nearest.search(np.zeros((2, 64), np.uint8), np.zeros((2, 64), np.uint8))
+        matchers._nearest.search(np.zeros((2, 64), np.uint8), np.zeros((2, 64), np.uint8))
 
 
 @pytest.mark.slow
@@ -311,7 +311,7 @@ def test_matches_are_those_of_colmaps_exact_matcher_but_for_rounding(tmp_path, m
     block = np.array([(a, b) for a in range(12) for b in range(a + 1, 12)])
     matchblocks._by_matcher(database, tmp_path / "ours.db", block, rules)
     with monkeypatch.context() as patch:
-        patch.setattr(nearest, "_nearest", None)
+        patch.setattr(matchers, "_nearest", None)
         matchblocks._by_matcher(database, tmp_path / "numpy.db", block, rules)
     monkeypatch.setattr(matchblocks, "colmap_options", exact)
     matchblocks._by_colmap(database, tmp_path / "colmap.db", block, rules)

@@ -6,7 +6,7 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.features.nearest import rounded
+from tiegraph.features.matchers import rounded
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews, spread, tentative
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning, Tuning

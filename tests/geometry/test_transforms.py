@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import geodesy, transforms
-from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.geodesy import Origin, crs_transformer, geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.gravity import UpTuning, levelled, up_vector
 from tiegraph.geometry.stereo import Pinhole, rectify, rectifying_rotation, usable_rays
-from tiegraph.geometry.transforms import cross, off_plane, unit_rays
+from tiegraph.geometry.transforms import Similarity, cross, off_plane, robust_umeyama, umeyama, unit_rays
 
 vectors = arrays(float, 3, elements=st.floats(-100, 100))
 

@@ -15,9 +15,9 @@ from bag_world import Row, bag
 from lidar.lidar_world import START_S, turns, world_from_lidar, write_bins
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.lidar.handeye import Poses, hand_eye, rig_in_lidar_world, settled
-from tiegraph.lidar.pointtie import tie_by_points
+from tiegraph.lidar.odometry import tie_by_points
 from tiegraph.lidar.scans import READERS, Scan, open_scans
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.pipeline.lidar import SurveyRun, calibrated, compared

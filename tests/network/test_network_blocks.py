@@ -13,7 +13,7 @@ from blocks_world import CAMERA, FRAMES, WALL_M, Mapper, place, survey, ties_of
 from near import off_after_similarity
 from network_steps import Mapper as Steps
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.network.coarse.assembled import Assembled, assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from odometry.odometry_world import FRAMES, apart, drive, images, single, stereo, true_path
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.odometry.cameras import Tracks, cameras_of
 from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.tuning import Tuning

@@ -20,8 +20,8 @@ from said import refused
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.evaluate.reference import model_poses
-from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.baseline import lay_out
 from tiegraph.project.run import Run

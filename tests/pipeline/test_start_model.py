@@ -18,8 +18,7 @@ from tiegraph.api import Project
 from tiegraph.cli.run import main
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
-from tiegraph.geometry.transforms import invert
+from tiegraph.geometry.transforms import invert, umeyama
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.posefile import write_tum
 

@@ -5,7 +5,7 @@ import pytest
 
 import terrain_world as world
 from said import refused
-from tiegraph.geometry.align import PlacementError
+from tiegraph.geometry.transforms import PlacementError
 from tiegraph.products.tuning import VolumeTuning
 from tiegraph.products.volumes import (
     Known,

@@ -14,8 +14,7 @@ from sfm_worlds import frame_centres, make_world, seen_anew, true_frames
 
 from near import off_after_similarity, rms
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.geometry.transforms import skew
+from tiegraph.geometry.transforms import Similarity, skew, umeyama
 from tiegraph.scene.colmapmodel import image_poses, matrix
 from tiegraph.sfm.adjustment.adjust import _solve
 from tiegraph.sfm.adjustment.constraints import NOTHING

@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import evidence_of
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.gravity import Up
-from tiegraph.geometry.transforms import skew
+from tiegraph.geometry.transforms import Similarity, skew
 from tiegraph.sfm.tuning.world import FitTuning, NoiseTuning, WorldTuning
 from tiegraph.sfm.world.fit import ANTENNA, CLOCK, Evidence, _Problem, by_errors, fit_similarity
 from tiegraph.sfm.world.positionerrors import PositionErrors, Stated

@@ -18,7 +18,7 @@ from near import off_after_similarity, rms
 from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import image_poses, model_rigs
 from tiegraph.scene.scene import Scene

@@ -15,7 +15,7 @@ from sfm_worlds import make_world, run_sparse, without_extrinsics
 
 from near import off_after_similarity
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import l1_mean_rotation
+from tiegraph.geometry.transforms import l1_mean_rotation
 from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.colmapmodel import image_poses, rigid3d
 from tiegraph.scene.rig import Rig, Source, rig_from_dict, rig_to_dict

@@ -11,8 +11,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.transforms import PlacementError
 from tiegraph.pipeline.files import CLOUD
 from tiegraph.pipeline.view import Viewed
 from tiegraph.scene.copc import write_copc

@@ -21,7 +21,7 @@ from said import refused
 from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.pipeline.pages import PageServer, WatchHandler
 from tiegraph.pipeline.watch import KEPT, PAGE, Watched
 from tiegraph.pipeline.watchmodel import resect_previews

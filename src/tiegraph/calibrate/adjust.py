@@ -15,7 +15,7 @@ import pycolmap
 from tiegraph.calibrate.board import Observations, View, joint_instants
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import CAUCHY_SIGMAS, robust_sigma
+from tiegraph.geometry.transforms import CAUCHY_SIGMAS, robust_sigma
 from tiegraph.scene.colmapmodel import add_rig, all_images, matrix, options_of, rigid3d, sensor_id
 from tiegraph.scene.rig import on_plane
 

@@ -25,8 +25,7 @@ from tiegraph.calibrate.adjust import (
 from tiegraph.calibrate.board import Observations
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import CAUCHY_SIGMAS
-from tiegraph.geometry.transforms import skew
+from tiegraph.geometry.transforms import CAUCHY_SIGMAS, skew
 
 _POSE = 6
 

@@ -16,7 +16,7 @@ import pyproj.network
 from tiegraph.cli.output import say
 from tiegraph.dense import cuda
 from tiegraph.dense.tsgm import kernels
-from tiegraph.features import nearest
+from tiegraph.features import matchers
 from tiegraph.project.stages import software
 
 _GRIDS = ("*.tif", "*.gtx", "*.gsb")  # GeoTIFF, and the older formats of vertical and horizontal grids
@@ -41,7 +41,7 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "disk, temporary files", _disk(lambda: Path(tempfile.gettempdir()))
     none = "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
     yield "native kernels", f"{', '.join(kernels())} (the fastest first)" if kernels() else none
-    yield "descriptor kernels", ", ".join(nearest.kernels()) or "not built: NumPy finds the nearest descriptors"
+    yield "descriptor kernels", ", ".join(matchers.kernels()) or "not built: NumPy finds the nearest descriptors"
     device = cuda.device_name()
     yield "GPU", f"not used: {cuda.reason()}" if device is None else f"{device}: depth maps are matched on it"
     yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"

@@ -16,9 +16,8 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import robust_sigma
 from tiegraph.geometry.stereo import Pinhole
-from tiegraph.geometry.transforms import apply, centre, invert
+from tiegraph.geometry.transforms import apply, centre, invert, robust_sigma
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.results import DepthMap
 

@@ -12,7 +12,7 @@ from tiegraph.evaluate.clouds.m3c2 import CONFIDENCE
 from tiegraph.evaluate.clouds.nearest import CloudComparison
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import TrajectoryTuning
-from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.transforms import rms_length
 from tiegraph.scene.results import MEASURED, NAN, PREDICTED, Accuracy, Answer, Figure
 from tiegraph.scene.sorting import evenly
 from tiegraph.text import csv_text

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+from tiegraph.geometry.transforms import Similarity, robust_umeyama, umeyama
 from tiegraph.scene.scene import Scene
 
 

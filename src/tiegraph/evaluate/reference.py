@@ -9,8 +9,8 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.geometry import geodesy, transforms
-from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.scene.colmapmodel import image_poses, is_model, matrix, registered_images
 from tiegraph.scene.namedposes import read_named_poses
 from tiegraph.scene.posefile import read_poses

@@ -26,8 +26,8 @@ from tiegraph.evaluate.trajectory import (
 )
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, rms_length, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin
+from tiegraph.geometry.transforms import Similarity, rms_length, umeyama
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 from tiegraph.scene.colmapmodel import Registration, matrix
 from tiegraph.scene.evidence import LIMIT, RARELY, fits_better

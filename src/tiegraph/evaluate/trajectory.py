@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama, umeyama
+from tiegraph.geometry.transforms import Similarity, rms_length, robust_umeyama, umeyama
 from tiegraph.scene.colmapmodel import Registration
 from tiegraph.scene.results import Metric
 

@@ -20,9 +20,8 @@ from tiegraph.errors import InputError
 from tiegraph.export import maps
 from tiegraph.export.opf import opf
 from tiegraph.export.survey import Exporter, Survey, unique_names, write_json, write_offset
-from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, world_from_geodetic
-from tiegraph.geometry.transforms import invert
+from tiegraph.geometry.transforms import Similarity, invert, umeyama
 from tiegraph.scene.colmapmodel import matrix, model_centres, sim3d
 from tiegraph.scene.composed import same_lens
 from tiegraph.scene.namedposes import TRANSFORMS

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.geometry.align import PlacementError, Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.transforms import PlacementError, Similarity
 from tiegraph.scene.names import shortened
 from tiegraph.scene.scene import Scene
 

@@ -4,10 +4,10 @@ each process has one thread and, for each block, a small database of its own.
 The processes are children of this one, or of the workers of a cluster: those read the features while nobody writes,
 because a round of blocks is matched before the next is written, and only this process writes the matches of all.
 
-``nearest`` or a plug-in (``matchers``) finds the matches and COLMAP verifies them; on a GPU, and for guided matching,
-COLMAP does both.
-COLMAP's own threads do not always find the same matches: those that build their search trees of descriptors at the same
-moment disturb each other now and then (`benchmarks/sfm/matching_threads.py` counts how often).
+Nearest neighbours or a plug-in (``matchers``) find the matches and COLMAP verifies them; on a GPU, and for guided
+matching, COLMAP does both. COLMAP's own threads do not always find the same matches: those that build their search
+trees of descriptors at the same moment disturb each other now and then (`benchmarks/sfm/matching_threads.py` counts how
+often).
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.features import nearest
+from tiegraph.features import matchers
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.sift import contrast, evened, root_sift
 from tiegraph.features.tuning import PreviewTuning, Tuning
@@ -188,9 +188,9 @@ def tentative(
     nothing = np.zeros(0, int)
     if len(a) < 2 or len(b) < 2:
         return nothing, nothing
-    of_a, of_b = nearest.search(a.descriptors, b.descriptors)
+    of_a, of_b = matchers.search(a.descriptors, b.descriptors)
     rows, partner = np.arange(len(a)), of_a[0]
-    cosines = of_a[1:].astype(np.float32) / nearest.NORM**2
+    cosines = of_a[1:].astype(np.float32) / matchers.NORM**2
     best, second = np.sqrt(np.maximum(0, 2 - 2 * cosines))
     good = (of_b[0][partner] == rows) & (best <= settings.ratio * second) & (best <= tuning.max_distance)
     return rows[good], partner[good].astype(int)

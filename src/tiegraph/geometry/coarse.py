@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.settings import Section
 
 

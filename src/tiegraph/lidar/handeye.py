@@ -7,9 +7,9 @@ Turns tell the turn of X, and the clock; the lever arm is told by turns alone, s
 leaves it open, and that is said with the direction. Sigmas: the larger of the adjustment's, for residuals as large as
 they are, and of the jackknife over parts of the time.
 
-Two trajectories of a few seconds hardly tell the lever arm. What both sides have measured tells more (``pointtie``):
-with one world laid on the other, every frame has the LiDAR's place on the rig (``settled``). What is left of the
-clock's sigma times the speed is in its sigma.
+Two trajectories of a few seconds hardly tell the lever arm. What both sides have measured tells more
+(``tie_by_points``): with one world laid on the other, every frame has the LiDAR's place on the rig (``settled``). What
+is left of the clock's sigma times the speed is in its sigma.
 """
 
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import CAUCHY_SIGMAS, MAD, Similarity, l1_mean_rotation, rms_length
-from tiegraph.lidar.pointtie import PointTie
+from tiegraph.geometry.transforms import CAUCHY_SIGMAS, MAD, Similarity, l1_mean_rotation, rms_length
+from tiegraph.lidar.odometry import PointTie
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.sorting import Columns
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import rms_length, umeyama
+from tiegraph.geometry.transforms import rms_length, umeyama
 from tiegraph.network.axes import allowed_within
 from tiegraph.network.passes import Pass, find_passes
 from tiegraph.network.sections import SectionResult, UpLight, find_sections, join_places, split, whole_survey

@@ -15,8 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import robust_sigma
-from tiegraph.geometry.transforms import skew
+from tiegraph.geometry.transforms import robust_sigma, skew
 from tiegraph.odometry.cameras import Cameras, Tracks
 from tiegraph.odometry.worldmap import Observations, WorldMap
 

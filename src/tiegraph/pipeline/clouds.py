@@ -26,9 +26,8 @@ from tiegraph.evaluate.clouds.register import Registration, registered
 from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.reference import to_world
 from tiegraph.evaluate.tuning import Tuning
-from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import ENU, Origin
-from tiegraph.geometry.transforms import centre
+from tiegraph.geometry.transforms import PlacementError, centre
 from tiegraph.pipeline.dense import depth_path, read_depth
 from tiegraph.pipeline.evaluate import PASSES, measured, write_judgement
 from tiegraph.pipeline.files import checked, load_model, placement_error, world_origin, world_unit

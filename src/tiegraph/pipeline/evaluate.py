@@ -12,8 +12,8 @@ from tiegraph.evaluate.clouds.judge import CloudJudgement, PassAgreement, differ
 from tiegraph.evaluate.clouds.m3c2 import Differences
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
-from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.pipeline.files import checked, load_json, load_model, reading, world_origin
 from tiegraph.pipeline.georef import stated
 from tiegraph.project.run import Run

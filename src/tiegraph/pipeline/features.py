@@ -10,11 +10,10 @@ import numpy as np
 from tiegraph import papers
 from tiegraph.child import cores
 from tiegraph.errors import ReconstructionError
-from tiegraph.features.learned import network
 from tiegraph.features.matchblocks import Rules, Side, colmap_matches, match_pairs
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import FeaturesSettings, PreviewSettings
-from tiegraph.features.sift import extract_image
+from tiegraph.features.sift import extract_image, network
 from tiegraph.features.tuning import PreviewTuning, Tuning
 from tiegraph.gpu import on_gpu
 from tiegraph.network.sections import LIGHTS, UpLight

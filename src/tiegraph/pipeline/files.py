@@ -15,8 +15,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import UnreadableArtefact
-from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.transforms import PlacementError
 from tiegraph.masks import NAMES
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic

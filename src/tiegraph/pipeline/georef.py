@@ -11,8 +11,8 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ChildDied, InputError, ReconstructionError, UnreadableArtefact
 from tiegraph.evaluate.accuracy import Hold, Predicted, Stated
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.geodesy import world_from_geodetic
+from tiegraph.geometry.transforms import rms_length
 from tiegraph.pipeline import files
 from tiegraph.pipeline.features import dim_images, with_contrast
 from tiegraph.pipeline.inputs import control_file, orientations, target_marks

@@ -18,10 +18,9 @@ from tiegraph.evaluate.reference import frame_parts, model_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, path_length
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.lidar.handeye import HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
-from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, deskew, odometry, velocities
-from tiegraph.lidar.pointtie import tie_by_points
+from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, deskew, odometry, tie_by_points, velocities
 from tiegraph.lidar.scans import Recording, open_scans
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tuning import Tuning

@@ -11,8 +11,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import make_origin, middle
+from tiegraph.geometry.transforms import Similarity, umeyama
 from tiegraph.pipeline.files import checked, load_json, load_model, read_colours, scanned, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pycolmap
 
-from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.gravity import UpTuning
-from tiegraph.geometry.transforms import motions
+from tiegraph.geometry.transforms import motions, rms_length
 from tiegraph.plan.network import MountedCamera, Network, make_network
 from tiegraph.plan.path import Path
 from tiegraph.plan.request import WorldRequest

@@ -34,8 +34,7 @@ from scipy import ndimage
 from scipy.stats import norm
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import PlacementError
-from tiegraph.geometry.transforms import motions
+from tiegraph.geometry.transforms import PlacementError, motions
 from tiegraph.products.heights import planes
 from tiegraph.products.surface import Window
 from tiegraph.products.tuning import VolumeTuning

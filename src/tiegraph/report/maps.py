@@ -12,8 +12,8 @@ from markupsafe import Markup
 from scipy import ndimage
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.gravity import levelled
+from tiegraph.geometry.transforms import PlacementError
 from tiegraph.report import drawing
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.texts import t

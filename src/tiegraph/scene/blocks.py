@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.scene import Scene, between_neighbours

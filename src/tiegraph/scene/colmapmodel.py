@@ -20,7 +20,7 @@ import pycolmap
 
 from tiegraph.errors import InputError, reading
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.scene.atomic import regular, scratch_folder
 from tiegraph.scene.names import check_text
 from tiegraph.scene.results import Model

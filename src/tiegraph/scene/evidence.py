@@ -20,7 +20,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import fdtrc, ndtri, stdtr
 
-from tiegraph.geometry.align import MAD
+from tiegraph.geometry.transforms import MAD
 
 # The limit of a contradiction, everywhere: by the probability, for each test, that agreement is called one.
 CHANCE = 0.001

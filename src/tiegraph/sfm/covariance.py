@@ -23,7 +23,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.geometry.align import robust_sigma
+from tiegraph.geometry.transforms import robust_sigma
 from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry

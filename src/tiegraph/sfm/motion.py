@@ -20,7 +20,7 @@ import scipy
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import umeyama
 from tiegraph.scene.colmapmodel import registered_images, rigid3d, sensor_id
 from tiegraph.scene.scene import Scene
 

@@ -30,7 +30,7 @@ import pycolmap
 from scipy.sparse import coo_array, csr_array, triu
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, robust_umeyama
+from tiegraph.geometry.transforms import Similarity, robust_umeyama
 from tiegraph.scene.colmapmodel import LEFT_OUT, matrix, rigid3d
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.graph import strongest_first

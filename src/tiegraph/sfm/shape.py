@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.distance import pdist, squareform
 
-from tiegraph.geometry.align import Similarity, rms_length
+from tiegraph.geometry.transforms import Similarity, rms_length
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.jacobians import frame_pose
 from tiegraph.sfm.covariance import PositionSigma

@@ -26,8 +26,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import l1_mean_rotation, robust_umeyama
-from tiegraph.geometry.transforms import angle_deg, cross, off_plane
+from tiegraph.geometry.transforms import angle_deg, cross, l1_mean_rotation, off_plane, robust_umeyama
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.graph import parts

@@ -23,7 +23,7 @@ import pycolmap
 import scipy
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.transforms import Similarity
 from tiegraph.scene.colmapmodel import sim3d
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning import PlacementTuning

@@ -10,8 +10,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.transforms import cross
+from tiegraph.geometry.transforms import Similarity, cross
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix, registered_images
 from tiegraph.scene.graph import parts as connected

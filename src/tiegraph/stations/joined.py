@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import robust_sigma
+from tiegraph.geometry.transforms import robust_sigma
 from tiegraph.stations.loops import Part, adjusted, contradicted, motion, parts, taken_apart
 from tiegraph.stations.pairs import (
     LEAST_OVERLAP,

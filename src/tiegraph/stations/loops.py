@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import rms_length
+from tiegraph.geometry.transforms import rms_length
 from tiegraph.scene import graph
 from tiegraph.stations.pairs import Pair
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from tiegraph.errors import optional
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import rms_length, robust_sigma
 from tiegraph.geometry.coarse import Shape, motions, normals, shape_of, side_for, thinned
+from tiegraph.geometry.transforms import rms_length, robust_sigma
 from tiegraph.stations.tuning import Tuning
 
 MEET = 1.2

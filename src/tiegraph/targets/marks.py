@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import robust_sigma
+from tiegraph.geometry.transforms import robust_sigma
 from tiegraph.scene.control import TargetMark
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.targets import CENTRE, Target, count_of, dictionary, families, refined

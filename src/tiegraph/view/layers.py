@@ -12,8 +12,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import PlacementError
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world
+from tiegraph.geometry.transforms import PlacementError
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.rig import on_plane

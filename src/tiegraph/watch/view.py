@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import robust_umeyama
 from tiegraph.geometry.gravity import levelled
+from tiegraph.geometry.transforms import robust_umeyama
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.scene import Scene
 

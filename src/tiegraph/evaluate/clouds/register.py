@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate.tuning import RegistrationTuning
-from tiegraph.geometry.align import PlacementError, Similarity, robust_sigma
 from tiegraph.geometry.coarse import Start, normals, start_of
+from tiegraph.geometry.transforms import PlacementError, Similarity, robust_sigma
 from tiegraph.scene.cloudchunks import PointSource
 
 _PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many

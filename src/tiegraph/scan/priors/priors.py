@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import Similarity, rms_length, robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
-from tiegraph.geometry.transforms import interpolate, rigid, skew
+from tiegraph.geometry.transforms import Similarity, interpolate, rigid, rms_length, robust_umeyama, skew
 from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.priors.times import exif_times, name_times, read_times

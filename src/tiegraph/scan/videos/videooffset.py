@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import robust_sigma
+from tiegraph.geometry.transforms import robust_sigma
 from tiegraph.scan.assign import assign
 from tiegraph.scan.prepare import Report, Usable
 from tiegraph.scan.settings import ScanSettings, video_offsets

@@ -11,8 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from tiegraph.geometry.align import rms_length
-from tiegraph.geometry.transforms import skew
+from tiegraph.geometry.transforms import rms_length, skew
 from tiegraph.sfm.adjustment.jacobians import Layout
 
 _RIDGE = 1e-9  # of the stiffness: a frame that no point holds gets a huge sigma instead of a singular matrix

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, l1_mean_rotation, rms_length, robust_umeyama
+from tiegraph.geometry.transforms import Similarity, l1_mean_rotation, rms_length, robust_umeyama
 from tiegraph.scene.colmapmodel import image_poses, rigid3d, sensor_id
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig

@@ -10,9 +10,16 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import PlacementError, Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.gravity import Up, roll_by_upward, roll_to_upright, to_upright, upright_by_upward
-from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
+from tiegraph.geometry.transforms import (
+    PlacementError,
+    Similarity,
+    robust_umeyama,
+    skew,
+    turn_by_vector,
+    umeyama,
+    vector_by_turn,
+)
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.sfm.tuning.world import FitTuning, WorldTuning
 from tiegraph.sfm.world.positionerrors import PositionErrors, Stated

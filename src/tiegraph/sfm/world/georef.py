@@ -6,9 +6,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import PlacementError, Similarity, rms_length
 from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.geometry.gravity import up_vector
+from tiegraph.geometry.transforms import PlacementError, Similarity, rms_length
 from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.evidence import Statement, contradictions, table
 from tiegraph.scene.scene import Scene

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, rms_length, umeyama
+from tiegraph.geometry.transforms import Similarity, rms_length, umeyama
 from tiegraph.scene.colmapmodel import MOST_FRAMES, image_poses, matrix, read_model
 from tiegraph.scene.evidence import CHANCE, LIMIT
 from tiegraph.scene.scene import Scene

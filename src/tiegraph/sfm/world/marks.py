@@ -13,7 +13,7 @@ import scipy
 from scipy.special import chdtrc, comb
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.geometry.transforms import Similarity, umeyama
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import CHANCE, LIMIT, fits_better

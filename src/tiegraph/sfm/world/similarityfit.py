@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.geometry.geodesy import datum_sigma_m
 from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.transforms import Similarity, umeyama
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings

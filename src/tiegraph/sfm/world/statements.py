@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from tiegraph.geometry.align import rms_length
 from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.transforms import rms_length
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, Trend, contradictions, trend
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.world.georef import AXES, Findings, Georeference

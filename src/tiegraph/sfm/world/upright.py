@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiegraph.geometry.align import Similarity, rms_length
 from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.transforms import Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.sfm.tuning.world import StatementTuning, WorldTuning
 from tiegraph.sfm.world.fit import ANTENNA, Evidence, Fit, fit_similarity, leaning_deg

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import PlacementError, Similarity, rms_length
 from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.transforms import PlacementError, Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, Statement, Trend, trend
 from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import ANTENNA, Evidence, by_errors, fit_similarity
