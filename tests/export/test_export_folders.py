@@ -10,6 +10,7 @@ import xml.etree.ElementTree as xml
 from dataclasses import replace
 
 import cv2
+import e57
 import numpy as np
 import pycolmap
 import pye57
@@ -18,10 +19,11 @@ import pytest
 from PIL import Image
 from pyopf.io import load
 from pyopf.resolve import resolve
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import tiegraph
-from export_world import FRAMES, LENSES, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
+from export_world import FAR, FRAMES, LENSES, NORMAL, NOTHING, ORIGIN, SIZE, camera_of, finished, plane_depth, spot_near
 from tiegraph.errors import EngineMissing, InputError, SettingsError
 from tiegraph.export import exporters as lens
 from tiegraph.export import maps
@@ -385,12 +387,15 @@ def test_a_full_disk_is_named_and_leaves_nothing(made, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def made_e57(tmp_path_factory):
-    """A survey with a cloud 400 m wide, and that cloud."""
+    """A survey with a cloud on its plane, with a tenth of the points far from it, where no depth map has them."""
     found = finished(tmp_path_factory.mktemp("survey"))
     rng = np.random.default_rng(0)
     count = 5000
+    xy = rng.uniform([-4, -4], [8, 4], (count, 2))
+    xyz = np.c_[xy, FAR - xy @ NORMAL[:2]]
+    xyz[::10] = rng.uniform(-200, 200, (count // 10, 3))
     cloud = Cloud(
-        xyz_m=rng.uniform(-200, 200, (count, 3)),
+        xyz_m=np.round(xyz, 3),
         rgb=rng.integers(0, 256, (count, 3)).astype(np.uint8),
         normal=np.tile(np.array([0, 0, 1], np.float32), (count, 1)),
         sigma_m=np.full(count, 0.01, np.float32),
@@ -398,30 +403,111 @@ def made_e57(tmp_path_factory):
         origin=ORIGIN,
     )
     write_cloud(cloud, found.project.folder / "cloud.laz")
-    return found.project, cloud
+    return found, cloud
 
 
-@pytest.mark.parametrize("scan", [10_000_000, 2000])
-def test_the_cloud_comes_back_to_the_millimetre(made_e57, tmp_path, monkeypatch, scan):
-    project, cloud = made_e57
-    monkeypatch.setattr(glue, "_SCAN", scan)
-    assert project.export(tmp_path / "e57", "e57") == len(cloud)
-    file = pye57.E57(str(tmp_path / "e57" / "cloud.e57"))
-    assert file.scan_count == -(-len(cloud) // scan) and "EPSG:32654" in file.get_header(0)["name"].value()
-    scans = [file.read_scan(k, colors=True, ignore_missing_fields=True) for k in range(file.scan_count)]
-    xyz, rgb = (
-        np.concatenate([np.stack([s[n + c] for c in axes], axis=1) for s in scans])
-        for n, axes in (("cartesian", "XYZ"), ("color", ("Red", "Green", "Blue")))
-    )
-    assert np.abs(xyz - (cloud.xyz_m + ORIGIN.shift_m)).max() < 0.001 and (rgb == cloud.rgb).all()
+def scans_of(file, **how):
+    """(xyz, rgb) of each scan, by pye57."""
+    for k in range(file.scan_count):
+        scan = file.read_scan(k, colors=True, ignore_missing_fields=True, **how)
+        xyz, rgb = (
+            np.stack([scan[n + c] for c in axes], axis=1)
+            for n, axes in (("cartesian", "XYZ"), ("color", ("Red", "Green", "Blue")))
+        )
+        yield xyz, rgb
+
+
+@pytest.mark.parametrize("part", [10_000_000, 2000])
+def test_the_cloud_comes_back_to_the_millimetre(made_e57, tmp_path, monkeypatch, part):
+    made, cloud = made_e57
+    monkeypatch.setattr(glue, "_SCAN", part)
+    path = tmp_path / "e57" / "cloud.e57"
+    assert made.project.export(tmp_path / "e57", "e57") == len(cloud)
+    xyz, rgb = (np.concatenate(of) for of in zip(*scans_of(pye57.E57(str(path)))))
+    away, nearest = cKDTree(cloud.xyz_m + ORIGIN.shift_m).query(xyz)
+    assert away.max() < 0.001 and (rgb == cloud.rgb[nearest]).all() and len(np.unique(nearest)) == len(cloud)
+    assert np.abs(e57.read_points(str(path)).points - xyz).max() < 1e-5  # another library, in Rust
     said = json.loads((tmp_path / "e57" / "offset.json").read_text())
     assert said["crs"] == "EPSG:32654" and said["crs_from_local"] == np.eye(4).tolist()
-    again = np.concatenate([part.xyz for part in open_cloud(tmp_path / "e57" / "cloud.e57").parts()])
+    again = np.concatenate([part.xyz for part in open_cloud(path).parts()])
     assert np.abs(again - xyz).max() < 1e-9
 
 
+@pytest.fixture(scope="module")
+def stations(made_e57, tmp_path_factory):
+    """(survey, cloud, file of E57)"""
+    folder = tmp_path_factory.mktemp("stations") / "e57"
+    made_e57[0].project.export(folder, "e57")
+    return *made_e57, pye57.E57(str(folder / "cloud.e57"))
+
+
+def test_each_frame_is_a_scan_of_the_points_it_saw_from_nearest(stations):
+    made, cloud, file = stations
+    own = list(scans_of(file, transform=False))
+    least = np.full(len(cloud), np.inf)  # depth in the nearest image
+    for image in made.model.images.values():
+        there = apply(matrix(image.cam_from_world()), cloud.xyz_m)
+        at = np.asarray(image.camera.img_from_cam(there))
+        inside = (there[:, 2] > 0.5) & (at > 0).all(axis=1) & (at < SIZE).all(axis=1)
+        least = np.minimum(least, np.where(inside, there[:, 2], np.inf))
+    least[::10] = np.inf
+    count, close = 0, []
+    for k, (xyz, _) in enumerate(own):
+        header = file.get_header(k)
+        assert header["name"].value().endswith(" (EPSG:32654)")
+        box = [[header["cartesianBounds"][f"{c}{e}"].value() for c in "xyz"] for e in ("Minimum", "Maximum")]
+        assert np.abs([xyz.min(axis=0), xyz.max(axis=0)] - np.array(box)).max() < 1e-4
+        if header["name"].value().startswith("tiegraph"):
+            continue
+        first = made.model.find_image_with_name(header["name"].value().split()[0])
+        frame = made.model.frame(first.frame_id)
+        pose = rigid(Rotation.from_quat(np.roll(header.rotation, -1)).as_matrix(), header.translation - ORIGIN.shift_m)
+        axes = (matrix(frame.rig_from_world) @ pose)[:3, :3]  # right, forward and up are x, z and -y of the camera
+        assert np.abs(axes - [[1, 0, 0], [0, 0, -1], [0, 1, 0]]).max() < 1e-9
+        assert np.abs(pose[:3, 3] - invert(matrix(frame.rig_from_world))[:3, 3]).max() < 1e-6
+        number = cKDTree(cloud.xyz_m).query(apply(pose, xyz))[1]
+        assert (number % 10 > 0).all() and (xyz[:, 1] > 0).all()
+        depths = [
+            apply(matrix(made.model.image(d.id).cam_from_world()), cloud.xyz_m[number])[:, 2] for d in frame.data_ids
+        ]
+        close.append(np.abs(np.array(depths) - least[number]).min(axis=0) < 1e-6)
+        count += len(xyz)
+    assert len(close) > FRAMES and np.mean(np.concatenate(close)) > 0.8  # the others are masked, or have no depth there
+    assert count > 0.8 * np.isfinite(least).sum()
+
+
+def test_pictures_of_e57_show_the_spots_where_the_points_are(stations):
+    made, _, file = stations
+    scans = {file.data3d[k]["guid"].value(): file.get_header(k)["name"].value() for k in range(file.scan_count)}
+    pictures, off = file.root["images2D"], []
+    assert pictures.childCount() == IMAGES
+    for k in range(IMAGES):
+        said = pictures[k]
+        pinhole, name = said["pinholeRepresentation"], said["name"].value()
+        blob = np.zeros(pinhole["jpegImage"].byteCount(), np.uint8)
+        pinhole["jpegImage"].read(blob, 0, len(blob))
+        grey = cv2.imdecode(blob, cv2.IMREAD_GRAYSCALE)
+        assert grey.shape == (pinhole["imageHeight"].value(), pinhole["imageWidth"].value())
+        turn = Rotation.from_quat([said["pose"]["rotation"][c].value() for c in "xyzw"]).as_matrix()
+        place = np.array([said["pose"]["translation"][c].value() for c in "xyz"])
+        image = made.model.find_image_with_name(name)
+        assert np.abs(place - ORIGIN.shift_m - image.projection_center()).max() < 1e-6
+        if said.isDefined("associatedData3DGuid"):
+            assert scans[said["associatedData3DGuid"].value()][:4] == name[:4]
+        there = (made.points + ORIGIN.shift_m - place) @ turn  # the camera looks along -z, y is up
+        there = there[there[:, 2] < -0.5]
+        size = np.array([pinhole["pixelWidth"].value(), pinhole["pixelHeight"].value()])
+        middle = np.array([pinhole["principalPointX"].value(), pinhole["principalPointY"].value()])
+        seen = middle + there[:, :2] / -there[:, 2:] * [1, -1] * pinhole["focalLength"].value() / size
+        for at in seen:
+            if (np.linalg.norm(seen - at, axis=1) < 18).sum() == 1:
+                off.append(spot_near(grey, at) - at)
+    off = np.array([o for o in off if np.isfinite(o).all()])
+    assert len(off) > 15 * IMAGES and np.percentile(np.linalg.norm(off, axis=1), 95) < 0.1
+
+
 def test_what_is_missing_is_named(made_e57, tmp_path, monkeypatch):
-    project, _ = made_e57
+    project = made_e57[0].project
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a").touch()
     with pytest.raises(InputError, match="not empty"):

@@ -4,7 +4,7 @@ and the cloud."""
 import io
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 import cv2
 import laspy
 import numpy as np
+import pycolmap
 
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.undistort import centred_pinhole, view_through, write_workspace
@@ -20,9 +21,11 @@ from tiegraph.export.exporters import EXPORTERS, depth_through, in_thousandths
 from tiegraph.export.survey import OFFSET, Exporter, Survey, unique_names
 from tiegraph.export.tiles3d import FILE as TREE
 from tiegraph.export.tiles3d import Place, write_points
+from tiegraph.geometry.stereo import Pinhole
+from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.limits import explained
 from tiegraph.pipeline import files
-from tiegraph.pipeline.dense import depth_path, known_depth
+from tiegraph.pipeline.dense import Pictures, depth_path, known_depth
 from tiegraph.pipeline.mesh import FOLDER as MESH
 from tiegraph.pipeline.mesh import write_mesh_tiles
 from tiegraph.project.folder import must_be_empty
@@ -30,16 +33,19 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import files_below, write_atomic
 from tiegraph.project.stores import send, url_of
 from tiegraph.scene.atomic import replacing, scratch_folder
-from tiegraph.scene.cloudchunks import write_e57
+from tiegraph.scene.cloudchunks import Scan, write_e57
 from tiegraph.scene.cloudfile import las_cloud
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.composed import with_cameras
 from tiegraph.scene.copc import Node, copc_middle, copc_nodes
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.names import inside
+from tiegraph.scene.results import APART_SIGMAS, Cloud
 
 _DEPTHS = "depths"
 _RESULTS = ("report.html", "report.json", "report.pdf", "metrics.json", "accuracy.csv", "world.json", "cloud.copc.laz",
             "cloud.ply", "products", "mesh", "passes", "evaluate", "sparse/world")  # fmt: skip
+_UP = rigid(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))  # a scanner has z up, a camera has y down
 _SCAN = 10_000_000  # points of a scan of an E57 file: pye57 writes one from memory, about 0.5 GB
 
 
@@ -129,12 +135,66 @@ def _workspace(run: Run, made: Path) -> tuple[int, str]:
 
 
 def _e57(run: Run, made: Path) -> tuple[int, str]:
+    """The cloud, each point in the scan of the frame that saw it from nearest, and the images."""
     path, origin = run.path("cloud.laz"), files.world_origin(run.folder)
-    with files.reading(path), laspy.open(path) as reader:
-        parts = (las_cloud(p, reader.header, origin) for p in reader.chunk_iterator(_SCAN))
-        count = write_e57(parts, made / "cloud.e57")
+    model = files.load_model(run.path("sparse", "world"))
+    pictures = Pictures(run.folder, Pictures.of(run).plans, run.settings.dense)
+    frame = [model.find_image_with_name(view.name).frame_id for view in pictures.views]
+    names = {key: view.name for key, view in zip(frame[::-1], pictures.views[::-1])}  # of a frame: its first image's
+    with files.reading(path), laspy.open(path) as reader, scratch_folder(made) as scratch:
+        parts = []
+        for part in reader.chunk_iterator(_SCAN):
+            cloud = las_cloud(part, reader.header, origin)
+            rows = np.zeros(len(cloud), [("frame", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3)])
+            rows["frame"], rows["xyz"], rows["rgb"] = _seen_from(cloud, pictures, frame), cloud.xyz_m, cloud.rgb
+            parts.append(scratch / f"{len(parts)}.npy")
+            np.save(parts[-1], rows[np.argsort(rows["frame"], kind="stable")])
+        stored = [np.load(part, mmap_mode="r") for part in parts]
+        shown = _shown(pictures, [names[key] for key in frame])
+        count = write_e57(_scans(stored, model, names), made / "cloud.e57", origin, shown)
     _say_crs(run, made)
     return count, "CloudCompare, {folder}/cloud.e57"
+
+
+def _seen_from(cloud: Cloud, pictures: Pictures, frame: Sequence[int]) -> np.ndarray:
+    """(N,) the frame of the nearest image whose depth map has a point; -1: none has."""
+    found, nearest = np.full(len(cloud), -1), np.full(len(cloud), np.inf)
+    for key, view in zip(frame, pictures.views):
+        near = view.inside(view.project(cloud.xyz_m[::100])[0]).any()  # or the image looks elsewhere
+        own = known_depth(view.name, pictures.folder) if near else None
+        if own is None:
+            continue
+        xy, z = view.project(cloud.xyz_m)
+        there = np.flatnonzero(view.inside(xy) & (z < nearest))
+        column, row = np.minimum(xy[there].astype(int), np.array(view.size) - 1).T
+        sigma = np.hypot(own.sigma_m[row, column], np.nan_to_num(cloud.sigma_m[there]))
+        apart = np.abs(own.depth_m[row, column] - z[there])
+        there = there[apart <= APART_SIGMAS * sigma + z[there] / view.focal]
+        found[there], nearest[there] = key, z[there]
+    return found
+
+
+def _scans(parts: Sequence[np.ndarray], model: pycolmap.Reconstruction, names: Mapping[int, str]) -> Iterator[Scan]:
+    """A scan of each frame that has points, and of the points that no frame has, part by part; ``parts`` are sorted."""
+    for key, name in sorted(names.items(), key=lambda item: item[1]):
+        own = [part[slice(*np.searchsorted(part["frame"], [key, key + 1]))] for part in parts]
+        rig_from_world = model.frame(key).rig_from_world
+        if sum(map(len, own)) and rig_from_world is not None:
+            rows = np.concatenate(own)
+            yield Scan(name, invert(matrix(rig_from_world)) @ _UP, xyz=rows["xyz"], rgb=rows["rgb"])
+    for number, part in enumerate(parts, 1):
+        rows = np.array(part[: np.searchsorted(part["frame"], 0)])
+        if len(rows):
+            middle = rigid(np.eye(3), np.round(rows["xyz"].mean(axis=0)))
+            yield Scan(f"tiegraph {number}", middle, xyz=rows["xyz"], rgb=rows["rgb"])
+
+
+def _shown(pictures: Pictures, names: Sequence[str]) -> Iterator[tuple[Pinhole, bytes, str]]:
+    """Camera and JPEG of each image that is there, and the name of its frame."""
+    for k, view in enumerate(pictures.views):
+        if (pictures.folder / "images" / view.name).is_file():
+            jpeg = cv2.imencode(".jpg", pictures.picture(k)[0][..., ::-1])[1].tobytes()
+            yield view, jpeg, names[k]
 
 
 def _potree(run: Run, made: Path) -> tuple[int, str]:

@@ -4,19 +4,24 @@ Memory is that of a part (of an E57 file: that of a scan). And what other progra
 LAS or LAZ 1.4 (extra dimensions of 32 bits, colours by the first), scans as E57 (ASTM E2807).
 """
 
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import laspy
 import matplotlib
 import numpy as np
 import pyproj
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError, optional, reading
+from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin, check_vertical, parse_crs
+from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.atomic import regular, replacing
 from tiegraph.scene.cloudfile import las_header, ply_parts, shift_of, whole_las_header, write_records
 from tiegraph.scene.results import Cloud
@@ -216,22 +221,77 @@ def _records(part: Measured, header: laspy.LasHeader, shift: np.ndarray) -> lasp
     return record
 
 
-def write_e57(clouds: Iterable[Cloud], path: Path) -> int:
-    """Write clouds with their colours, each as a scan of its own in coordinates of the CRS; how many points they have.
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What one station of an instrument measured: xyz (N, 3) and rgb (N, 3) u1 in the world, world_from_scan (4, 4)."""
 
-    pye57 keeps single precision about the place of a scan: its middle, in whole metres. Raises EngineMissing without
-    pye57, InputError for a full disk.
-    """
-    pye57, count = _pye57(path), 0
+    name: str
+    world_from_scan: np.ndarray
+    xyz: np.ndarray
+    rgb: np.ndarray
+
+
+_COLOURS = ("Red", "Green", "Blue")
+_IMAGE_AXES = np.diag([1.0, -1, -1, 1])  # E57's pinhole cameras look along -z, with y up
+
+
+def write_e57(
+    scans: Iterable[Scan], path: Path, origin: Origin | None, shown: Iterable[tuple[Pinhole, bytes, str]]
+) -> int:
+    """Write scans, each in its own frame with its pose in coordinates of the CRS, and what is ``shown``: the camera of
+    a picture without distortion, its JPEG, the name of its scan. How many points there are. pye57 keeps single
+    precision about the place of a scan. Raises EngineMissing without pye57, InputError for a full disk."""
+    pye57, count, guid = _pye57(path), 0, {}
     with replacing(path) as temporary, pye57.E57(str(temporary), mode="w") as file:
-        for number, cloud in enumerate(clouds, 1):
-            place = np.round((cloud.xyz_m + shift_of(cloud.origin)).mean(axis=0))
-            local = cloud.xyz_m + (shift_of(cloud.origin) - place)
-            columns = {f"cartesian{name}": np.ascontiguousarray(local[:, k]) for k, name in enumerate("XYZ")}
-            colours = {
-                f"color{n}": np.ascontiguousarray(cloud.rgb[:, k]) for k, n in enumerate(("Red", "Green", "Blue"))
-            }
-            crs = "no CRS" if cloud.origin is None else cloud.origin.crs
-            file.write_scan_raw({**columns, **colours}, name=f"tiegraph {number} ({crs})", translation=place)
-            count += len(cloud)
+        for scan in scans:
+            local = transforms.apply(transforms.invert(scan.world_from_scan), scan.xyz)  # single precision there
+            columns = {f"cartesian{axis}": np.ascontiguousarray(local[:, k]) for k, axis in enumerate("XYZ")}
+            columns |= {f"color{c}": np.ascontiguousarray(scan.rgb[:, k]) for k, c in enumerate(_COLOURS)}
+            ends = (("Minimum", local.min(axis=0)), ("Maximum", local.max(axis=0)))  # pye57's own are not the scan's
+            box = {f"{axis}{end}": at[k] for end, at in ends for k, axis in enumerate("xyz")}
+            quaternion, place = _placed(scan.world_from_scan, origin)
+            name = f"{scan.name} ({'no CRS' if origin is None else origin.crs})"
+            header = SimpleNamespace(**box, name=name, rotation=quaternion, translation=place)
+            file.write_scan_raw(columns, scan_header=header)
+            guid[scan.name] = file.data3d[len(file.data3d) - 1]["guid"].value()
+            count += len(local)
+        for camera, jpeg, scan_name in shown:
+            _add_picture(pye57.libe57, file, jpeg, _pinhole(camera, origin, guid.get(scan_name)))
     return count
+
+
+def _placed(world_from_local: np.ndarray, origin: Origin | None) -> tuple[np.ndarray, np.ndarray]:
+    """The quaternion (4,), its real part first, and the place (3,) of a frame in the CRS."""
+    turn = Rotation.from_matrix(world_from_local[:3, :3]).as_quat()[[3, 0, 1, 2]]
+    return turn, world_from_local[:3, 3] + shift_of(origin)
+
+
+def _pinhole(camera: Pinhole, origin: Origin | None, scan: str | None) -> dict[str, Any]:
+    """What E57 says of a picture. The focal length is 1, in pixels of that unit: a sensor's size is not known."""
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+    quaternion, place = _placed(transforms.invert(camera.cam_from_world) @ _IMAGE_AXES, origin)
+    seen = {"imageWidth": camera.size[0], "imageHeight": camera.size[1], "focalLength": 1.0, "pixelWidth": 1 / fx}
+    return {
+        "guid": f"{{{uuid.uuid4()}}}",
+        "name": camera.name,
+        "pose": {"rotation": dict(zip("wxyz", quaternion)), "translation": dict(zip("xyz", place))},
+        "pinholeRepresentation": {**seen, "pixelHeight": 1 / fy, "principalPointX": cx, "principalPointY": cy},
+        **({"associatedData3DGuid": scan} if scan else {}),
+    }
+
+
+def _add_picture(lib: Any, file: Any, jpeg: bytes, said: dict[str, Any]) -> None:
+    kinds = {str: lib.StringNode, int: lib.IntegerNode, np.float64: lib.FloatNode, float: lib.FloatNode}
+
+    def node(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return kinds[type(value)](file.image_file, value)
+        made = lib.StructureNode(file.image_file)
+        for key, part in value.items():
+            made.set(key, node(part))
+        return made
+
+    picture, blob = node(said), lib.BlobNode(file.image_file, len(jpeg))
+    picture["pinholeRepresentation"].set("jpegImage", blob)
+    file.root["images2D"].append(picture)
+    blob.write(jpeg, 0, len(jpeg))
