@@ -216,6 +216,47 @@ def test_a_camera_that_moves_against_the_rig_is_left_out(tmp_path) -> None:
     np.testing.assert_allclose(found, scene.rigs[0].sensors[1].sensor_from_rig, atol=1e-6)
 
 
+def _with_images(truth: pycolmap.Reconstruction, poses: dict[int, np.ndarray]) -> pycolmap.Reconstruction:
+    """A model without rigs of some images at these poses (4, 4), in which each has a frame of its own."""
+    model = pycolmap.Reconstruction()
+    for key in sorted({truth.image(i).camera_id for i in poses}):
+        model.add_camera_with_trivial_rig(truth.cameras[key])
+    for i, pose in poses.items():
+        image = truth.image(i)
+        fresh = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=i)
+        model.add_image_with_trivial_frame(fresh, rigid3d(pose))
+    return model
+
+
+def test_a_camera_that_shares_no_points_is_mounted_by_its_motion(tmp_path) -> None:
+    """Two cameras in a model, and the third alone in another frame and unit, a quarter of its poses wrong; with the
+    poses in reverse order no mounting fits."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=3, frames=16)
+    poses = {i: transforms.rigid(p.rotation.matrix(), p.translation) for i, p in _poses(truth).items()}
+    last = [i for i in poses if truth.image(i).camera_id == max(truth.cameras)]
+    others = _with_images(truth, {i: pose for i, pose in poses.items() if i not in last})
+    rng = np.random.default_rng(0)
+    turn, unit, shift = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix(), 0.3, np.array([3.0, -2, 5])
+    own = {}
+    for k, i in enumerate(last):
+        noise = Rotation.from_rotvec(0.001 * rng.standard_normal(3)).as_matrix()
+        centre = turn.T @ (transforms.centre(poses[i]) - shift) / unit
+        rotation = noise @ poses[i][:3, :3] @ turn
+        centre = centre + (30 * rng.standard_normal(3) if k % 4 == 0 else 0)
+        own[i] = transforms.rigid(rotation, -rotation @ centre)
+    rig, said = derive_rig(without_extrinsics(scene), 0, [others, _with_images(truth, own)], DeriveTuning())
+    assert rig is not None and "extrinsics of 3 of 3 cameras" in said
+    found, true = rig.sensors[2].sensor_from_rig, scene.rigs[0].sensors[2].sensor_from_rig
+    assert transforms.angle_deg(found[None, :3, :3], true[:3, :3])[0] < 0.3
+    mixed = dict(zip(own, list(own.values())[::-1], strict=True))
+    rig, said = derive_rig(without_extrinsics(scene), 0, [others, _with_images(truth, mixed)], DeriveTuning())
+    assert rig is not None and rig.sensors[2].sensor_from_rig is None and "left out: cam" in said
+
+
+def _poses(model: pycolmap.Reconstruction) -> dict[int, pycolmap.Rigid3d]:
+    return {i: model.image(i).cam_from_world() for i in sorted(model.reg_image_ids())}
+
+
 def test_too_few_frames_give_no_rig(tmp_path) -> None:
     truth, scene = make_world(tmp_path / "database.db", cameras=2, frames=2)
     rig, said = derive_rig(without_extrinsics(scene), 0, [truth], DeriveTuning())
