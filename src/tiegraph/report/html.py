@@ -296,10 +296,8 @@ def _space(run: RunFolder, seen: maps.Scenery | None, settings: ReportSettings) 
     if seen is None:
         return out
     out |= {"overlap": maps.overlap_map(seen), "ellipses": maps.ellipse_map(run, seen)}
-    return out | {
-        "views": [*views(run, seen), *parts.product_views(run)],
-        **viewer_part(run, seen, settings.viewer_points),
-    }
+    out["views"] = [*views(run, seen), *parts.product_views(run)]
+    return out | viewer_part(run, seen, settings.viewer_points)
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
@@ -309,10 +307,9 @@ _REMEDY = "open it in a browser and print it to a file there"
 
 def find_browser() -> str:
     """Path of a browser that prints. Raises EngineMissing with the remedy if there is none."""
-    for name in BROWSERS:
-        found = shutil.which(name)
-        if found:
-            return found
+    found = next(filter(None, map(shutil.which, BROWSERS)), "")
+    if found:
+        return found
     raise EngineMissing(
         f"--pdf needs a browser of the Chromium family, and none of {', '.join(BROWSERS)} is on the PATH: install one, "
         "or open report.html in any browser and print it to a file there"
