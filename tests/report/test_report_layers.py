@@ -25,7 +25,7 @@ from tiegraph.report.cloudview import (
     standard_views,
     with_scale_bar,
 )
-from tiegraph.report.formatting import without_folders
+from tiegraph.report.formatting import shown
 from tiegraph.report.html import environment, write_report
 from tiegraph.report.parts import PASSES, about
 from tiegraph.report.runfolder import read_run
@@ -92,7 +92,7 @@ def test_names_are_text_and_folders_are_nobodys(page: str, full: Path) -> None:
     assert page.count("<script") == 2, "the viewer and its data"
     data = (full / "report.json").read_text(encoding="utf-8")
     assert "rig.toml" in page and "somebody" not in page and "somebody" not in data
-    assert without_folders("from /a/b/c.toml, C:\\d\\e.csv and up/cam0/1.jpg at 3 m/s") == (
+    assert shown("from /a/b/c.toml, C:\\d\\e.csv and up/cam0/1.jpg at 3 m/s") == (
         "from c.toml, e.csv and up/cam0/1.jpg at 3 m/s"
     )
 

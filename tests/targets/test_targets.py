@@ -73,14 +73,14 @@ def test_a_target_printed_twice_is_not_used_and_what_is_missing_is_said():
     pictures = [picture(world, 0, twice), picture(world, 1, world.places), picture(world, 2, {})]
     seen = {k: find_targets(p, [FAMILY], TUNING) for k, p in enumerate(pictures)}
     named = {n: target_of(n) for n in ("tag36h11:3", "tag36h11:7", "tag36h11:99")}
-    found = marks_of(seen, named, lambda k: world.camera, world.names)
-    assert {(m.name, m.image) for m in found.marks} == {("tag36h11:7", 0), ("tag36h11:7", 1)}
-    said = "; ".join(found.notes)
+    marks, notes = marks_of(seen, named, lambda k: world.camera, world.names)
+    assert {(m.name, m.image) for m in marks} == {("tag36h11:7", 0), ("tag36h11:7", 1)}
+    said = "; ".join(notes)
     assert "target tag36h11:3 is seen at two places of 000.png: printed twice? It is not used" in said
     assert "target tag36h11:99 is seen in none of 3 images" in said
     assert "not named in the file: tag36h11:12 (2 images), tag36h11:20 (2 images), tag36h11:31 (2 images)" in said
     seven = {"tag36h11:7": named["tag36h11:7"]}
-    alone = marks_of({0: seen[1]}, seven, lambda k: None, world.names).notes[0]
+    alone = marks_of({0: seen[1]}, seven, lambda k: None, world.names)[1][0]
     assert alone == "target tag36h11:7 is seen in one image only, 000.png: two are needed for a place"
 
 

@@ -222,15 +222,11 @@ def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
 
 def _state(model: pycolmap.Reconstruction, start: State) -> State:
     cameras = tuple(deepcopy(model.camera(k + 1)) for k in range(len(start.cameras)))
-    sensors = dict(model.rigs[_RIG].non_ref_sensors.items())
-    poses = [np.eye(4)] + [_matrix(sensors[sensor_id(k + 1)]) for k in range(1, len(cameras))]
-    boards = {i: _matrix(model.frame(f).rig_from_world) for f, i in enumerate(sorted(start.rig_from_board), 1)}
+    sensors: dict[Any, Any] = dict(model.rigs[_RIG].non_ref_sensors.items())
+    poses = [np.eye(4)] + [matrix(sensors[sensor_id(k + 1)]) for k in range(1, len(cameras))]
+    frames: Any = model.frames
+    boards = {i: matrix(frames[f].rig_from_world) for f, i in enumerate(sorted(start.rig_from_board), 1)}
     return State(cameras, np.stack(poses), boards)
-
-
-def _matrix(pose: pycolmap.Rigid3d | None) -> np.ndarray:
-    assert pose is not None
-    return matrix(pose)
 
 
 def start(seen: Observations) -> State:

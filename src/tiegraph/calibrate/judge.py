@@ -190,16 +190,10 @@ def judge(done: Adjusted) -> Verdict:
         own = [k for k, view in enumerate(done.seen.views) if view.camera == number]
         longer = max(images.size)
         across, down = (max(1, round(CELLS * side / longer)) for side in images.size)
-        cameras.append(
-            CameraVerdict(
-                views=len(own),
-                corners=sum(len(inside[k]) for k in own),
-                rms_px=_rms([inside[k] for k in own]),
-                held_out_px=_rms([held_out[k] for k in own]),
-                coverage=float((seen_cells(done.seen, number, (across, down)) > 0).mean()),
-                tilt_deg=tilts[number],
-            )
-        )
+        corners = sum(len(inside[k]) for k in own)
+        rms_px, held_px = (_rms([off[k] for k in own]) for off in (inside, held_out))
+        covered = float((seen_cells(done.seen, number, (across, down)) > 0).mean())
+        cameras.append(CameraVerdict(len(own), corners, rms_px, held_px, coverage=covered, tilt_deg=tilts[number]))
     return Verdict(tuple(cameras), exact, tuple(_advice(done, cameras, exact)))
 
 

@@ -4,6 +4,7 @@ import math
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 from tiegraph.text import one_line, printable
 
@@ -32,10 +33,8 @@ def lost_output() -> OSError | None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        try:  # else the interpreter tries again when it ends
+        with suppress(OSError):  # else the interpreter tries again when it ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        except OSError:
-            pass
         return error
     return None
 
@@ -47,11 +46,9 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Text on standard error; further lines are indented, so that none looks like one of ours."""
-    try:
+    with suppress(OSError):  # the exit code says it too
         sys.stderr.write(printable(text).replace("\n", "\n  ") + "\n")
         sys.stderr.flush()
-    except OSError:  # the exit code says it too
-        pass
 
 
 def show_table(

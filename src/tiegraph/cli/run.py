@@ -110,11 +110,9 @@ def main(arguments: list[str]) -> int:
     if options.plan:
         reporter = options.reporter()
         project.fetch(reporter)
-        found = project.forecast()
+        found, uncounted = project.forecast(), "the frames of videos and bags are counted by the stage scan"
         if found is None:
-            reporter.say(
-                "the frames of videos and bags are counted by the stage scan: run --until scan, then ask again"
-            )
+            reporter.say(f"{uncounted}: run --until scan, then ask again")
             return 0
         for line in found.lines(project.folder):
             reporter.say(line)

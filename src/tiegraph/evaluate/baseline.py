@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.geometry.transforms import Similarity, robust_umeyama, umeyama
+from tiegraph.geometry.transforms import robust_umeyama, umeyama
 from tiegraph.scene.scene import Scene
 
 
@@ -85,8 +85,8 @@ def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequ
     """
     both = [_judge(side, reference) for side in (ours, theirs)]
     lost = ours.registered & ~theirs.registered, theirs.registered & ~ours.registered
-    rows = [[n, *ours.stages.get(n, (None, None)), *theirs.stages.get(n, (None, None))]
-            for n in {**ours.stages, **theirs.stages}]  # fmt: skip
+    names = {**ours.stages, **theirs.stages}
+    rows = [[n, *ours.stages.get(n, (None, None)), *theirs.stages.get(n, (None, None))] for n in names]
     columns = ["stage", *(f"{s.name} {what}" for s in (ours, theirs) for what in ("CPU s", "wall s"))]
     return {
         "figures": {"columns": ["", ours.name, theirs.name, "ratio"], "rows": _figures(both, reference)},
@@ -99,15 +99,13 @@ def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequ
 
 def _judge(side: Side, reference: Reference) -> _Judged:
     known = np.isfinite(side.centres).all(axis=1) & np.isfinite(reference.centres_m).all(axis=1) & side.registered
-    error, right = np.full(len(known), np.nan), np.zeros(len(known), bool)
-    if known.sum() < 3:  # an alignment needs three
-        return _Judged(side=side, error_m=error, right=right, scale=np.nan)
-    source, target = side.centres[known], reference.centres_m[known]
-    plain: Similarity = umeyama(source, target)
-    robust, _ = robust_umeyama(source, target, reference.right_m / 3)
-    error[known] = np.linalg.norm(plain(source) - target, axis=1)
-    right[known] = np.linalg.norm(robust(source) - target, axis=1) < reference.right_m
-    return _Judged(side=side, error_m=error, right=right, scale=plain.scale)
+    error, right, scale = np.full(len(known), np.nan), np.zeros(len(known), bool), np.nan
+    if known.sum() >= 3:  # for an alignment
+        source, target = side.centres[known], reference.centres_m[known]
+        plain, (robust, _) = umeyama(source, target), robust_umeyama(source, target, reference.right_m / 3)
+        error[known], scale = np.linalg.norm(plain(source) - target, axis=1), plain.scale
+        right[known] = np.linalg.norm(robust(source) - target, axis=1) < reference.right_m
+    return _Judged(side=side, error_m=error, right=right, scale=scale)
 
 
 def _figures(both: list[_Judged], reference: Reference) -> list[list[Any]]:

@@ -18,12 +18,7 @@ from tiegraph.evaluate.clouds.judge import CloudJudgement, PassAgreement, Questi
 from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.trajectory import (
-    PoseMatch,
-    TrajectoryError,
-    evaluate_trajectory,
-    registered_metrics,
-)
+from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError, evaluate_trajectory, registered_metrics
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin
@@ -266,8 +261,7 @@ def beyond(figure: Figure) -> bool:
 
 
 def _said(figure: Figure, metric: bool) -> str:
-    values = (_m(v) if metric else f"{v:.3g} units" for v in (figure.measured, figure.predicted))
-    return ", predicted ".join(values)
+    return ", predicted ".join(_m(v) if metric else f"{v:.3g} units" for v in (figure.measured, figure.predicted))
 
 
 def _explained(match: PoseMatch, metric: bool, step_s: float, whole: bool) -> str:

@@ -86,8 +86,7 @@ class TrajectoryError:
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
         ate, near = self.sim3, f"images_within_{self.within_m:g}m"
-        rows = [("ate_sim3_rmse", ate.rmse_m, "m"), ("ate_sim3_median", ate.median_m, "m")]
-        rows += [("ate_sim3_max", ate.max_m, "m")]
+        rows = [(f"ate_sim3_{name}", getattr(ate, f"{name}_m"), "m") for name in ("rmse", "median", "max")]
         rows += [("ate_se3_rmse", self.se3.rmse_m, "m")] if self.metric else []
         rows += [("absolute_rmse", self.absolute.rmse_m, "m")] if self.absolute is not None else []
         rows += [("scale_error", abs(ate.alignment.scale - 1) * 100, "%")] if self.metric else []
@@ -150,13 +149,12 @@ def evaluate_trajectory(
 def position_error(estimate: np.ndarray, reference: np.ndarray, alignment: Similarity) -> PositionError:
     """Statistics of the distances between positions (K, 3), the estimate's brought to the reference's frame."""
     e = np.linalg.norm(alignment(estimate) - reference, axis=1)
-    return PositionError(
-        rmse_m=float(np.sqrt(np.mean(e**2))),
-        median_m=float(np.median(e)),
-        max_m=float(e.max()),
-        alignment=alignment,
-        errors_m=e,
-    )
+    return PositionError(*_statistics(e), alignment=alignment, errors_m=e)
+
+
+def _statistics(errors_m: np.ndarray) -> tuple[float, float, float]:
+    """Root mean square, median and largest of errors (K,)."""
+    return float(np.sqrt(np.mean(errors_m**2))), float(np.median(errors_m)), float(errors_m.max())
 
 
 def within(estimate: np.ndarray, reference: np.ndarray, within_m: float) -> float:
@@ -171,26 +169,21 @@ def relative_error(match: PoseMatch, distance_m: float, max_stretch: float) -> R
     Path length is the reference's. Pairs whose real distance is over ``max_stretch`` times the wanted one are left out,
     so frames far apart give no figure for a short one (count 0, NaN).
     """
-    first, last = [np.zeros(0, int)], [np.zeros(0, int)]
+    ends = [np.zeros((2, 0), int)]
     for rows in match.sequences():
         path = path_length(match.reference[rows, :3, 3])
         to = np.searchsorted(path, path + distance_m - 1e-9)
         begin = np.flatnonzero(to < len(rows))
         begin = begin[path[to[begin]] - path[begin] <= max_stretch * distance_m]
-        first.append(rows[begin])
-        last.append(rows[to[begin]])
-    i, j = np.concatenate(first), np.concatenate(last)
+        ends.append(rows[np.stack([begin, to[begin]])])
+    i, j = np.concatenate(ends, axis=1)
     if not len(i):
         return RelativeError(distance_m=distance_m, translation_m=_NAN, rotation_deg=_NAN, count=0)
     step_ref, step_est = (transforms.invert(poses[i]) @ poses[j] for poses in (match.reference, match.estimate))
     error = transforms.invert(step_ref) @ step_est
     turned = transforms.angle_deg(error[:, :3, :3], np.broadcast_to(np.eye(3), (len(i), 3, 3)))
-    return RelativeError(
-        distance_m=distance_m,
-        translation_m=rms_length(error[:, :3, 3]),
-        rotation_deg=float(np.sqrt(np.mean(turned**2))),
-        count=len(i),
-    )
+    rotation_deg = float(np.sqrt(np.mean(turned**2)))
+    return RelativeError(distance_m, rms_length(error[:, :3, 3]), rotation_deg, count=len(i))
 
 
 def yaw_drift(match: PoseMatch, aligned: np.ndarray) -> float:
@@ -222,10 +215,10 @@ def _by_part(
     for kind, names in match.parts.items():
         for name in dict.fromkeys(names):
             rows = np.flatnonzero(names == name)
-            part, e = match.where(rows), errors_m[rows]
+            part = match.where(rows)
             ways = [float(path_length(part.reference[k, :3, 3])[-1]) for k in part.sequences()]
-            row = {kind: str(name), "matched": len(e), "path m": max(ways, default=0.0) or _NAN}
-            row |= {"rmse m": float(np.sqrt(np.mean(e**2))), "median m": float(np.median(e)), "max m": float(e.max())}
+            row = {kind: str(name), "matched": len(rows), "path m": max(ways, default=0.0) or _NAN}
+            row |= dict(zip(("rmse m", "median m", "max m"), _statistics(errors_m[rows])))
             for distance in distances_m:
                 r, there = relative_error(part, distance, tuning.max_stretch), f"RPE {distance:g} m"
                 row |= {f"{there}, m": r.translation_m, f"{there}, deg": r.rotation_deg}

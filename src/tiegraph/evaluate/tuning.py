@@ -66,12 +66,7 @@ class Tuning(Section):
     min_checks: int = Field(3, gt=0)
     """Check points that may hold a tolerance: fewer say hardly anything of a survey (ASPRS asks for 30)."""
     trajectory: TrajectoryTuning = Field(default_factory=TrajectoryTuning)
-    """Reference poses."""
     cloud: CloudTuning = Field(default_factory=CloudTuning)
-    """Reference clouds."""
     m3c2: M3c2Tuning = Field(default_factory=M3c2Tuning)
-    """Differences along the normal."""
     registration: RegistrationTuning = Field(default_factory=RegistrationTuning)
-    """A cloud laid on another."""
     passes: PassesTuning = Field(default_factory=PassesTuning)
-    """Two passes of one run."""

@@ -185,13 +185,11 @@ class _Problem:
     def _pairs(self, clock_s: float, kept: np.ndarray) -> bool:
         """The motions between frames that are inside for an offset; False if there are too few."""
         rows = np.flatnonzero(self.inside(clock_s) & kept)
-        first, last = [np.zeros(0, int)], [np.zeros(0, int)]
+        ends = [np.zeros((2, 0), int)]
         for span in (1, 2, 4, 8):  # frames: drift of either side matters little over them
-            a, b = rows[:-span], rows[span:]
-            same = self.rig.group[a] == self.rig.group[b]
-            first.append(a[same])
-            last.append(b[same])
-        self.first, self.last = np.concatenate(first), np.concatenate(last)
+            pair = np.stack([rows[:-span], rows[span:]])
+            ends.append(pair[:, self.rig.group[pair[0]] == self.rig.group[pair[1]]])
+        self.first, self.last = np.concatenate(ends, axis=1)
         self.frames = len(rows)
         step = transforms.invert(self.rig.poses[self.first]) @ self.rig.poses[self.last]
         self.turn, self.step = Rotation.from_matrix(step[:, :3, :3]) if len(step) else None, step[:, :3, 3]

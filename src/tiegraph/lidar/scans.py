@@ -247,8 +247,7 @@ def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None) -> tuple[np.n
 
 def _in_order(path: Path, scans: Iterator[Scan]) -> Iterator[Scan]:
     """The scans. Raises InputError for stamps that do not grow, and for a single scan."""
-    last = None
-    count = 0
+    last, count = None, 0
     for scan in scans:
         if last is not None and not scan.stamp_s > last.stamp_s:
             raise InputError(
@@ -290,14 +289,8 @@ def message_points(message: Any, name: str) -> Points:
     """The points of a PointCloud2. Raises InputError for one whose data are shorter than it says."""
     order = ">" if message.is_bigendian else "<"
     fields = [f for f in message.fields if 1 <= f.datatype <= len(_FIELD_TYPES) and f.count <= 1]
-    dtype = np.dtype(
-        {
-            "names": [f.name for f in fields],
-            "formats": [order + _FIELD_TYPES[f.datatype - 1] for f in fields],
-            "offsets": [f.offset for f in fields],
-            "itemsize": message.point_step,
-        }
-    )
+    table: Any = {"names": [f.name for f in fields], "offsets": [f.offset for f in fields]}
+    table |= {"formats": [order + _FIELD_TYPES[f.datatype - 1] for f in fields], "itemsize": message.point_step}
     data = np.asarray(message.data, np.uint8)
     if len(data) < message.height * message.row_step or message.width * message.point_step > message.row_step:
         raise InputError(
@@ -305,8 +298,8 @@ def message_points(message: Any, name: str) -> Points:
         )
     rows = data[: message.height * message.row_step].reshape(message.height, message.row_step)
     rows = np.ascontiguousarray(rows[:, : message.width * message.point_step])
-    table = rows.reshape(-1).view(dtype)
-    return points_of({n: table[n] for n in table.dtype.names or ()}, name)
+    points = rows.reshape(-1).view(np.dtype(table))
+    return points_of({n: points[n] for n in table["names"]}, name)
 
 
 def read_scan_poses(path: Path) -> np.ndarray:

@@ -21,6 +21,5 @@ forget; what all corners of an image share is in no residual, so they are widene
 in none of them.
 
 What was looked at: VISO2 (Geiger et al. 2011), PTAM (Klein and Murray 2007), ORB-SLAM (Mur-Artal et al. 2015), VINS
-(Qin et al. 2018). There is no run folder, so the constants of ``tuning`` are not in ``tiegraph.toml``. Inertial
-measurements are not read: no file of them is known to the project.
+(Qin et al. 2018). Inertial measurements are not read: no file of them is known to the project.
 """

@@ -55,10 +55,7 @@ def colmap_alone(upright: bool = False) -> dict[str, dict[str, Any]]:
                 "adjust": {"iterations": 0},
                 # Each stands where its cameras' positions put it: neither matches nor points join it to the others.
                 "placement": {"ties": {"trials": 0}},
-                "world": {
-                    "fixes": {"rows_per_frame": 0},
-                    **({} if upright else {"up": {"agreement": 1.0}}),
-                },
+                "world": {"fixes": {"rows_per_frame": 0}} | ({} if upright else {"up": {"agreement": 1.0}}),
             },
         },
     }

@@ -64,14 +64,11 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Des
     }
     note = f"fuse2014: {counts['pieces_before']} components of the pairs before, {counts['pieces']} after"
     more = f"; {taken_back} pairs taken back to keep it together" if safe else ""
-    known, all_ = int(np.isfinite(before.sigma_m).sum()), len(before)
-    surrogate = (
-        ""
-        if known == all_
-        else f"fuse2014: capacities by two-view bundle adjustment of {known} of {all_} pairs, of the others matches "
-        "(B/H)^2 in its place"
-    )
-    return DesignResult(thin, tuple(n for n in (note + more, surrogate) if n), counts)
+    notes, known = [note + more], int(np.isfinite(before.sigma_m).sum())
+    if known < len(before):
+        of = f"{known} of {len(before)} pairs, of the others matches (B/H)^2 in its place"
+        notes.append(f"fuse2014: capacities by two-view bundle adjustment of {of}")
+    return DesignResult(thin, tuple(notes), counts)
 
 
 fuse2014 = partial(thinned, safe=False)

@@ -140,22 +140,18 @@ def _side(
 ) -> Side:
     scene, tuning = block.scene, block.run.settings.tuning
     known = {n: v for n, v in counts.items() if v is not None}
-    nothing = np.full(len(scene), np.nan)
     if not models:
-        none = np.zeros(len(scene), bool)
-        nowhere = np.tile(nothing[:, None], 3)
-        return Side(name=name, registered=none, centres=nowhere, sigma=nothing, stages=stages, counts=known)
+        none, nothing, nowhere = (
+            np.zeros(len(scene), bool),
+            np.full(len(scene), np.nan),
+            np.full((len(scene), 3), np.nan),
+        )
+        return Side(name, none, nowhere, nothing, stages, known)
     found = [registration(model, scene, tuning.scene.registered).registered for model in models]
     best = int(np.argmax([f.sum() for f in found]))
-    model = models[best]
-    return Side(
-        name=name,
-        registered=found[best],
-        centres=model_poses(model, scene).world_from_camera[:, :3, 3],
-        sigma=_sigma(model, block),
-        stages=stages,
-        counts={**known, "points": model.num_points3D()},
-    )
+    model, known["points"] = models[best], models[best].num_points3D()
+    centres = model_poses(model, scene).world_from_camera[:, :3, 3]
+    return Side(name, found[best], centres, _sigma(model, block), stages, known)
 
 
 def _sigma(model: pycolmap.Reconstruction, block: Block) -> np.ndarray:

@@ -111,9 +111,8 @@ def _read_folder(
         probes = _map(pool, reporter, probe_image, paths)
     usable = usable_images(names, probes, report)
     layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
-    report.notes.append(
-        f"layout: {len(layout.folders)} camera(s){'' if layout.order.loose else ': ' + layout.order.why}"
-    )
+    why = "" if layout.order.loose else f": {layout.order.why}"
+    report.notes.append(f"layout: {len(layout.folders)} camera(s){why}")
     kept = [k for k, place in zip(usable.images, layout.places) if place is not None]
     folder = {k: place.folder for k, place in zip(usable.images, layout.places) if place is not None}
     sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
@@ -123,16 +122,10 @@ def _read_folder(
     owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
-    cameras = tuple(
-        boards.CameraImages(
-            name=f or "camera",
-            folder=f,
-            model=model,
-            size=_one_size(f, [names[k] for k in own], [probes[k] for k in own], up),
-            count=len(own),
-        )
-        for f, model, own, up in zip(layout.folders, models, owned, upright)
-    )
+    cameras = []
+    for f, model, own, up in zip(layout.folders, models, owned, upright):
+        size = _one_size(f, [names[k] for k in own], [probes[k] for k in own], up)
+        cameras.append(boards.CameraImages(f or "camera", f, model, size, count=len(own)))
     instants = _instants(names, owned, sequence, settings.frames)
     files = tuple(
         _File(path=paths[k], camera=c, instant=instants[k], name=names[k], upright=upright[c], levels=probes[k].levels)
@@ -140,7 +133,7 @@ def _read_folder(
         for k in own
     )
     dropped = (f"{d.name}: {d.reason}" for d in report.dropped)
-    return cameras, files, (*passed_over, *report.notes, *dropped)
+    return tuple(cameras), files, (*passed_over, *report.notes, *dropped)
 
 
 def _one_size(folder: str, names: Sequence[str], probes: Sequence[Probe], upright: bool) -> tuple[int, int]:

@@ -3,6 +3,7 @@ and the cloud."""
 
 import io
 import json
+import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -85,10 +86,8 @@ def hand_out(run: Run, target: str | Path, name: str, camera: str = "") -> int:
         return len(names)
     if url:
         with scratch_folder() as scratch:
-            made = scratch / "made"
-            count, _ = _written(run, made, name, camera)
-            names = sorted(p.relative_to(made).as_posix() for p in made.rglob("*") if p.is_file())
-            send(url, made, names, run.reporter)
+            count, _ = _written(run, scratch / "made", name, camera)
+            send(url, scratch / "made", files_below(scratch / "made", os.listdir(scratch / "made")), run.reporter)
         return count
     count, opened = _written(run, Path(target), name, camera)
     if opened:
@@ -228,9 +227,7 @@ def _tiles(run: Run, made: Path) -> tuple[int, str]:
         write_mesh_tiles(run, place, made / MESH)
         there.append(made / MESH)
     trees = ", ".join(f"{{folder}}/{folder.name}/{TREE}" for folder in there)
-    lost = (
-        "" if origin is not None else " (the world is not on the Earth: the tiles are in its own axes, without a place)"
-    )
+    lost = " (the world is not on the Earth: the tiles are in its own axes, without a place)" if origin is None else ""
     return count, f"CesiumJS, Cesium3DTileset.fromUrl of {trees}{lost}"
 
 
@@ -266,17 +263,10 @@ def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -
     has_depth = exporter.depth and any(depth_path(run.folder, name).exists() for name in camera_of)
     pictures = []
     for source, name in names.items():
-        stem = str(PurePosixPath(name).with_suffix(""))
-        pictures.append(
-            _Picture(
-                source=source,
-                name=name,
-                camera=own[camera_of[source]],
-                pinhole=pinholes.get(camera_of[source]),
-                mask=exporter.mask.format(name=name, stem=stem) if has_masks else "",
-                depth=f"{_DEPTHS}/{stem}" if has_depth else "",
-            )
-        )
+        stem, camera = str(PurePosixPath(name).with_suffix("")), camera_of[source]
+        mask = exporter.mask.format(name=name, stem=stem) if has_masks else ""
+        depth = f"{_DEPTHS}/{stem}" if has_depth else ""
+        pictures.append(_Picture(source, name, own[camera], pinholes.get(camera), mask=mask, depth=depth))
     with run.reporter.stage("export"):
         run.reporter.total(len(pictures))
         depths = run.map(_write_picture, pictures, run.folder, target, survey.unit)
@@ -313,13 +303,8 @@ def _write_picture(picture: _Picture, folder: Path, target: Path, unit: str) -> 
         raise InputError(f"{images / picture.source} is gone: restore the images of the survey")
     use = None
     if picture.pinhole is not None:
-        masks = mask.parents[len(PurePosixPath(picture.source).parts) - 1]
-        seen = view_through(
-            picture.pinhole,
-            ViewPlan(picture.source, picture.camera, np.eye(4)),
-            images,
-            masks if picture.mask else None,
-        )
+        masks = mask.parents[len(PurePosixPath(picture.source).parts) - 1] if picture.mask else None
+        seen = view_through(picture.pinhole, ViewPlan(picture.source, picture.camera, np.eye(4)), images, masks)
         use = seen.mask
         _write_image(image, seen.image_bgr)
     elif orientation_of(images / picture.source) > 1:

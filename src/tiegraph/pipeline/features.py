@@ -248,12 +248,9 @@ def match(run: Run) -> Outcome:
         raise with_contrast(error, run, scene) from None
     files.save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
-    lonely = (
-        (f"{len(alone)} images have no verified pair: {some((scene.names[k] for k in alone), 5)}",)
-        if len(alone)
-        else ()
-    )
-    notes = (*lonely, *(("matched by COLMAP on a GPU",) if on_gpu() and colmap_matches(run.settings.match) else ()))
+    notes = ["matched by COLMAP on a GPU"] if on_gpu() and colmap_matches(run.settings.match) else []
+    if len(alone):
+        notes.insert(0, f"{len(alone)} images have no verified pair: {some((scene.names[k] for k in alone), 5)}")
     kinds = {"columns": ["two-view geometry", "pairs"], "rows": [[k, n] for k, n in report.configurations.items()]}
     counts = {n: getattr(report, n) for n in ("asked", "matched", "verified", "matches", "inliers")}
-    return Outcome(counts, dropped=report.lost, notes=notes, tables={"two-view geometries": kinds})
+    return Outcome(counts, dropped=report.lost, notes=tuple(notes), tables={"two-view geometries": kinds})

@@ -23,7 +23,7 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.decoding import read_pixels
 from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
-from tiegraph.scene.results import Cloud, DepthMap, load_depth, save_columns
+from tiegraph.scene.results import DepthMap, load_depth, save_columns
 from tiegraph.scene.scene import Scene
 
 T = TypeVar("T")
@@ -36,13 +36,9 @@ def reading(path: Path) -> Iterator[None]:
     """Errors while an artefact is read are reported for the artefact, whose stage then makes it again."""
     try:
         yield
-    except UnreadableArtefact:
-        raise
-    except OSError as error:
-        if error.errno in _OURS:
+    except (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, UnreadableArtefact) or (isinstance(error, OSError) and error.errno in _OURS):
             raise
-        raise UnreadableArtefact(path, error) from error
-    except (ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise UnreadableArtefact(path, error) from error
 
 
@@ -80,14 +76,6 @@ def load_map(path: Path) -> DepthMap:
     """A depth map. Raises UnreadableArtefact."""
     with reading(path):
         return load_depth(path)
-
-
-def load_cloud(path: Path, origin: Origin | None) -> Cloud:
-    """A cloud, in a world about ``origin``. Raises UnreadableArtefact."""
-    from tiegraph.scene.cloudfile import read_cloud  # laspy, a tenth of a second
-
-    with reading(path):
-        return read_cloud(path, origin)
 
 
 def scanned(run: Run) -> Scene:

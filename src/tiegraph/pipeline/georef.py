@@ -51,46 +51,26 @@ def sparse(run: Run) -> Outcome:
         pairs, of_image = files.pairs_of(run, "match.npz"), scene.section[scene.frame]
         across = of_image[pairs.i] != of_image[pairs.j]
         apart = tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
-    source = Source(
-        run.path("database.db"),
-        run.path("images"),
-        apart=apart,
-        preview=files.trusted_poses(run.folder),
-        on_progress=progress,
-    )
+    database, start = run.path("database.db"), files.trusted_poses(run.folder)
+    source = Source(database, run.path("images"), apart=apart, preview=start, on_progress=progress)
+    settings, tuning = run.settings.sparse, run.settings.tuning
     try:
-        made = reconstruct(
-            source,
-            run.path("sparse"),
-            scene.measured(),
-            run.settings.sparse,
-            run.settings.tuning.sfm,
-            run.settings.tuning.scene,
-            run.log,
-        )
+        made = reconstruct(source, run.path("sparse"), scene.measured(), settings, tuning.sfm, tuning.scene, run.log)
     except ReconstructionError as error:
         raise with_contrast(error, run, scene) from None
     counts = dict(made.counts)
     if made.shape is not None:
         files.save_npz(run.path("sparse", SHAPE), **vars(made.shape))
     if made.sigma is not None:
-        largest = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
-        counts["position_sigma_largest"] = largest
-        if made.sigma.scale is not None:
-            counts["scale_sigma"] = made.sigma.scale
-    said = made.remarks
-    started = _against_start(run)
+        counts["position_sigma_largest"] = float(np.linalg.norm(made.sigma.sigma, axis=1).max())
+        counts |= {} if made.sigma.scale is None else {"scale_sigma": made.sigma.scale}
+    said, started = made.remarks, _against_start(run)
     counts |= started.counts
     notes, contradictions = (*said.notes, *started.notes), (*said.contradictions, *started.contradictions)
-    dim = dim_images(run.folder, [name for name, _ in said.dropped], run.settings.tuning.features)
-    dropped = tuple(
-        (
-            name,
-            f"{why}; it shows {dim[name]:.1f} grey levels of contrast: more light, or nearer" if name in dim else why,
-        )
-        for name, why in said.dropped
-    )
+    dim = dim_images(run.folder, [name for name, _ in said.dropped], tuning.features)
+    darker = "; it shows {:.1f} grey levels of contrast: more light, or nearer"
+    dropped = tuple((name, why + (darker.format(dim[name]) if name in dim else "")) for name, why in said.dropped)
     return Outcome(counts, dropped=dropped, notes=notes, tables=made.tables, contradictions=contradictions)
 
 
@@ -205,11 +185,11 @@ def _measured_in_images(run: Run, scene: Scene) -> tuple[Measurements, tuple[str
         return Measurements(), (), ()
     model = files.load_model(run.path("sparse", "0")) if file.targets else None
     try:
-        seen = target_marks(run, scene, file, model)
+        marks, notes = target_marks(run, scene, file, model)
         turned = orientations(run, scene, file)
         crs, heights = run.settings.scan.crs, run.settings.scan.heights_m
-        control = locate(file, scene, crs, seen.marks, turned, heights) if file.points else None
-        return Measurements(control=control, bars=locate_bars(file, scene, seen.marks, turned)), seen.notes, ()
+        control = locate(file, scene, crs, marks, turned, heights) if file.points else None
+        return Measurements(control=control, bars=locate_bars(file, scene, marks, turned)), notes, ()
     except UnreadableArtefact:
         raise
     except InputError as error:
@@ -300,9 +280,8 @@ def _hold(run: Run, world: dict) -> Hold:
     if scene.prior == "gnss" and np.isfinite(stated_m).any():
         source += " of RTK quality" if np.nanmedian(stated_m) <= _CARRIER_M else ""
     without = np.setdiff1d(np.arange(scene.frames), rows)
-    bridges = [
-        row["number"] for row in files.load_json(run.path("network", "sections.json")) if row["kind"] == "bridge"
-    ]
+    sections = files.load_json(run.path("network", "sections.json"))
+    bridges = [row["number"] for row in sections if row["kind"] == "bridge"]
     under = int(np.isin(scene.section[without], bridges).sum())
     found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
     points = {"control": found.count("gcp"), "checks": found.count("check")}

@@ -27,7 +27,7 @@ from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scan.views import PRESET
 from tiegraph.scene.bags import is_bag, source_of
-from tiegraph.scene.control import image_lookup, locate, locate_bars
+from tiegraph.scene.control import TargetMark, image_lookup, locate, locate_bars
 from tiegraph.scene.exif import orientation_of
 from tiegraph.scene.gcp import GcpFile, read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -36,7 +36,7 @@ from tiegraph.scene.names import found_by, on_disk
 from tiegraph.scene.pairs import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import evenly
-from tiegraph.targets.marks import OTHERS, Seen, TargetMarks, find_targets, likely_family, marks_of
+from tiegraph.targets.marks import OTHERS, Seen, find_targets, likely_family, marks_of
 from tiegraph.targets.tuning import Tuning
 
 
@@ -141,15 +141,15 @@ def control_file(run: Run) -> GcpFile | None:
 
 def target_marks(
     run: Run, scene: Scene, file: GcpFile, model: pycolmap.Reconstruction | None = None, most: int | None = None
-) -> TargetMarks:
-    """Marks of the file's coded targets in the prepared images, ``most`` of them or all; by the cameras of a model if
-    there is one.
+) -> tuple[tuple[TargetMark, ...], tuple[str, ...]]:
+    """Marks of the file's coded targets in the prepared images, ``most`` of them or all, by the cameras of a model if
+    there is one; and notes.
 
     Raises InputError if none of them is seen in any image, with the family that is, if there is one.
     """
     named = file.targets
     if not named:
-        return TargetMarks()
+        return (), ()
     tuning = run.settings.tuning.targets
     families = sorted({t.family for t in named.values()})
     images = evenly(len(scene), len(scene) if most is None else most).tolist()

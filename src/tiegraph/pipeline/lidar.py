@@ -24,14 +24,14 @@ from tiegraph.lidar.odometry import MapCloud, adjusted, before_pose, deskew, odo
 from tiegraph.lidar.scans import Recording, open_scans
 from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tuning import Tuning
-from tiegraph.pipeline.files import load_cloud, load_json, load_model, load_scene, world_origin
+from tiegraph.pipeline.files import load_json, load_model, load_scene, reading, world_origin
 from tiegraph.project.folder import check_format, must_be_empty
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import VerbTunings
 from tiegraph.project.stages import Receipts, save_json
 from tiegraph.scene.atomic import scratch_folder
 from tiegraph.scene.cloudchunks import Points, PointSource, points_of
-from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.cloudfile import read_cloud, write_cloud
 from tiegraph.scene.colmapmodel import registration
 from tiegraph.scene.posefile import write_tum
 from tiegraph.scene.results import Cloud
@@ -80,7 +80,9 @@ class SurveyRun:
                 f"--run {folder}: none of its {int(placed.sum())} placed frames has a time: run it with --times"
             )
         frame = timed[np.argsort(scene.time_s[timed], kind="stable")]
-        cloud, receipts = folder / "cloud.laz", Receipts(folder)
+        path, receipts = folder / "cloud.laz", Receipts(folder)
+        with reading(path):
+            cloud = read_cloud(path, world_origin(folder)) if path.exists() else None
         told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
         seconds = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
         return cls(
@@ -90,7 +92,7 @@ class SurveyRun:
             used=registration(model, scene, tuning).registered,
             # Images in which a point is seen: with two, a wrong match is not noticed
             points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= 3]).reshape(-1, 3),
-            cloud=load_cloud(cloud, world_origin(folder)) if cloud.exists() else None,
+            cloud=cloud,
             seconds={**seconds, "Overall processing": sum(seconds.values())},
         )
 
@@ -184,8 +186,10 @@ def _trajectory(
     usual = float(np.median(np.diff(time_s)))
     gaps = np.flatnonzero(np.diff(time_s) > 5 * usual)
     if len(gaps):
-        notes.append(f"{len(gaps)} gaps between scans, the first of {np.diff(time_s)[gaps[0]]:.3g} s after "
-                     f"{time_s[gaps[0]]:.3f} s: the motion across them was taken as constant")  # fmt: skip
+        first = f"{np.diff(time_s)[gaps[0]]:.3g} s after {time_s[gaps[0]]:.3f} s"
+        notes.append(
+            f"{len(gaps)} gaps between scans, the first of {first}: the motion across them was taken as constant"
+        )
     if cloud.voxel_m > settings.voxel_m:
         notes.append(f"the map's voxels grew to {cloud.voxel_m:.3g} m, to keep within memory")
     return Poses(time_s, poses, np.zeros(len(poses), int)), cloud.cloud(), notes
@@ -220,8 +224,7 @@ def _against_given(poses: np.ndarray, given: np.ndarray, tuning: EvaluateTuning)
         ["turn at the end [deg]", turn],
     ]
     if len(poses) >= 3:
-        group = np.zeros(len(poses), int)
-        match = PoseMatch(estimate=poses, reference=given, group=group, order=np.arange(len(poses)))
+        match = PoseMatch(poses, given, group=np.zeros(len(poses), int), order=np.arange(len(poses)))
         rows.append(["ATE after SE3 [m]", evaluate_trajectory(match, _RPE_M, tuning.trajectory).se3.rmse_m])
     return {"columns": ["LiDAR odometry", "against the given poses"], "rows": rows}
 
@@ -253,13 +256,7 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     estimate = rig.poses.copy()
     estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
     estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
-    match = PoseMatch(
-        estimate=estimate,
-        reference=by_lidar,
-        group=rig.group,
-        order=np.arange(len(frame)),
-        parts=frame_parts(run.scene, frame),
-    )
+    match = PoseMatch(estimate, by_lidar, rig.group, np.arange(len(frame)), parts=frame_parts(run.scene, frame))
     error = evaluate_trajectory(match, _RPE_M, tunings.evaluate.trajectory)
     judged = _Judged(run, world, reference, match, run.scene.section[frame], tunings.evaluate)
     seconds = {f"{row} [s]": value for row, value in run.seconds.items()}
@@ -275,9 +272,8 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
         off = f"the rotations of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
         notes.insert(0, f"{off}: are these one survey, and are the times right? Do not use the values below until then")
     if found.tie is not None:
-        tied = (
-            f"{found.tie.points} points of the run within {1000 * found.tie.rms_m:.0f} mm RMS of the LiDAR's surfaces"
-        )
+        points, rms_mm = found.tie.points, 1000 * found.tie.rms_m
+        tied = f"{points} points of the run within {rms_mm:.0f} mm RMS of the LiDAR's surfaces"
         notes.append(f"the LiDAR's position on the rig by {tied}; by the motion alone it would be less accurate")
     if run.cloud is None:
         notes.append("the run has no cloud.laz: trajectories only were compared")
@@ -323,7 +319,12 @@ class _Judged:
         nearest = cKDTree(centres)
         self.of_point = section[nearest.query(xyz)[1]]
         cameras = Cameras(centres, tuple(map(str, section)))
-        self.cloud = None if run.cloud is None else _judged(xyz, reference, cameras, tuning)
+        self.cloud: CloudJudgement | None = None
+        if run.cloud is not None:  # both in the LiDAR's world
+            own = points_of(xyz, "the run's cloud")
+            truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
+            with scratch_folder() as scratch:
+                self.cloud = judge_cloud(own, truth, scratch, Question(cameras=cameras), tuning)
         self.of_core = None if self.cloud is None else section[nearest.query(self.cloud.differences.xyz)[1]]
         self.tables: dict[str, Any] = {} if self.cloud is None else self.cloud.tables()
 
@@ -356,11 +357,3 @@ class _Judged:
                 out["cloud to the LiDAR's nearest point, median [m]"] = judged.median_m
                 out["cloud to the LiDAR's nearest point, 90 % [m]"] = judged.p90_m
         return out
-
-
-def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras, tuning: EvaluateTuning) -> CloudJudgement:
-    """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
-    own = points_of(xyz, "the run's cloud")
-    truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
-    with scratch_folder() as scratch:
-        return judge_cloud(own, truth, scratch, Question(cameras=cameras), tuning)

@@ -101,15 +101,12 @@ class Marking:
             source = self.scene.sensor_of(image).source
             return source is not None and source.rendered
 
-        marks = [
-            FileMark(
-                name=self.file.points[p].name,
-                image=self.scene.names[k] if rendered(k) else self.scene.source_name(k),
-                xy=source_pixel(xy, self.scene.sensor_of(k)),
-                line=0,
+        marks = []
+        for (point, k), xy in sorted(self.marks.items()):
+            image = self.scene.names[k] if rendered(k) else self.scene.source_name(k)
+            marks.append(
+                FileMark(self.file.points[point].name, image, source_pixel(xy, self.scene.sensor_of(k)), line=0)
             )
-            for (p, k), xy in sorted(self.marks.items())
-        ]
         make = gcp_csv if self.target.suffix.lower() == ".csv" else odm_text
         write_atomic(self.target, make(self.file, self.crs, marks))
         self.written = _digest(self.target)

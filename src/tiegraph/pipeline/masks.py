@@ -54,23 +54,22 @@ def masks(run: Run) -> Outcome:
     )
     write_atomic(run.path("masks.csv"), csv_text(["image", *(f"{n}_percent" for n in NAMES), "flag"], rows))
     empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
-    flags_said = []
+    counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
+    notes = [f"source {source}: {why}"]
+    # Used of all pixels: more is seen of an object before a backdrop
+    if source == "folder" and counts["used_percent"] < 20:
+        notes.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
+    notes += [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
     if flagged:
         kinds = {kind: sum(why.startswith(kind) for why in flagged.values()) for kind in ("blurred", "similar")}
         text = " and ".join(f"{n} {kind}" for kind, n in kinds.items() if n)
         done = f"{len(left_out)} of them left out" if left_out else "kept; masks.leave_out leaves them out"
-        flags_said.append(f"hardly worth keeping: {text} images ({done}); masks.csv names them")
-    learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
-    counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
+        notes.append(f"hardly worth keeping: {text} images ({done}); masks.csv names them")
     known = {n: shares[:, k] for k, n in enumerate(NAMES) if np.isfinite(shares[:, k]).any()}
-    inverted = []
-    # Used of all pixels: more is seen of an object before a backdrop
-    if source == "folder" and counts["used_percent"] < 20:
-        inverted.append("the masks leave little of the images: 255 (or 1) is used, 0 ignored; are they inverted?")
     return Outcome(
         {**counts, "flagged": len(flagged)},
         dropped=tuple((empty | left_out).items()),
-        notes=(f"source {source}: {why}", *inverted, *learnt, *flags_said),
+        notes=tuple(notes),
         tables={"shares of the images": _by_camera(scene, scene.sensor_key, known)},
     )
 

@@ -20,6 +20,7 @@ from tiegraph.products.surface import MAP, Window
 from tiegraph.products.tuning import VolumeTuning
 from tiegraph.project.folder import check_format
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.cloudfile import shift_of
 from tiegraph.scene.vectors import Shapes, read_shapes
 from tiegraph.text import csv_text, finite, some
 
@@ -86,15 +87,8 @@ def open_map(folder: Path) -> MapFiles:
     origin = world_origin(folder)
     with reading(path), rasterio.open(path) as raster:
         shape, to_crs = raster.shape, raster.transform
-    return MapFiles(
-        folder=folder,
-        origin=origin,
-        unit=world_unit(folder),
-        pixel=float(to_crs.a),
-        shape=shape,
-        corner=np.array([to_crs.c, to_crs.f]),
-        shift=np.zeros(3) if origin is None else np.array(origin.shift_m, float),
-    )
+    corner, shift = np.array([to_crs.c, to_crs.f]), shift_of(origin)
+    return MapFiles(folder, origin, world_unit(folder), float(to_crs.a), shape, corner=corner, shift=shift)
 
 
 def line_of(given: Sequence[str], map_: MapFiles) -> np.ndarray:
@@ -124,12 +118,8 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
     if shapes.crs is None:
         return shapes.parts
     theirs = pyproj.CRS.from_user_input(shapes.crs)
-    place = map_.origin
-    if (
-        theirs.is_geographic
-        and place is not None
-        and theirs.to_2d().equals(pyproj.CRS.from_epsg(4326), ignore_axis_order=True)
-    ):
+    place, degrees_of = map_.origin, pyproj.CRS.from_epsg(4326)
+    if theirs.is_geographic and place is not None and theirs.to_2d().equals(degrees_of, ignore_axis_order=True):
         flat = np.full(1, place.height_m)
         degrees = (np.c_[p[:, ::-1], np.repeat(flat, len(p))] for p in shapes.parts)
         return [(world_from_geodetic(d, place) + map_.shift)[:, :2] for d in degrees]
@@ -289,9 +279,8 @@ def _other_surface(
         return None
     east, north = patch.places()
     at = other.pixels(np.stack([east.ravel(), north.ravel()], axis=-1) + map_.shift[:2])
-    w, sigma = (
-        volumes.sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in (surface, _sigma(surface))
-    )
+    names = surface, _sigma(surface)
+    w, sigma = (volumes.sampled(partial(other.read, name), at).reshape(patch.w.shape) for name in names)
     theirs = replace(patch, w=w - map_.shift[2], sigma=sigma)
     known = _known(other, polygon)
     if known.placed is not None:  # in our world
@@ -302,12 +291,9 @@ def _other_surface(
 def said(found: dict[str, Any]) -> str:
     """The measurements of a polygon, in a sentence."""
     unit = found["unit"]
-    each = [
-        f"{name} {found[name]['value']:.2f} ± {found[name]['sigma']:.2f} {unit}3" for name in ("cut", "fill", "net")
-    ]
+    volumes_of = {name: found[name] for name in ("cut", "fill", "net")}
+    each = ", ".join(f"{name} {v['value']:.2f} ± {v['sigma']:.2f} {unit}3" for name, v in volumes_of.items())
     why = found["net"]["parts"]
     largest = max(why, key=lambda k: why[k])
-    text = (
-        f"{', '.join(each)} on {found['area']:.2f} {unit}2; base: {found['base']}; most of the sigma is of: {largest}"
-    )
+    text = f"{each} on {found['area']:.2f} {unit}2; base: {found['base']}; most of the sigma is of: {largest}"
     return f"{text}. {some(found['notes'], joint='. ')}" if found["notes"] else text

@@ -158,9 +158,8 @@ class _Work:
             corner = layout.at[p] - texture.PAD
             change = levels["change"][nodes.corner[face]]
             high, wide = chart.shape[:2]
-            out[corner[1] : corner[1] + high, corner[0] : corner[0] + wide] = texture.levelled_chart(
-                chart, place[face] - corner, change
-            )
+            there = slice(corner[1], corner[1] + high), slice(corner[0], corner[0] + wide)
+            out[there] = texture.levelled_chart(chart, place[face] - corner, change)
         bare = np.flatnonzero((layout.patch == views.UNSEEN) & (page_of == page))
         blocks = texture.bare_blocks(levels["rgb"][whole.corners[bare]])
         for (x, y), block in zip(layout.bare_at[layout.bare_page == page] - 1, blocks):
@@ -211,8 +210,6 @@ def _said(run: Run) -> tuple[dict[str, Any], list[str]]:
 
 
 def _outcome(run: Run, work: _Work, whole: surface.Mesh, layout: texture.Layout) -> Outcome:
-    unit = world_unit(run.folder)
-    bare = int(np.count_nonzero(layout.patch == views.UNSEEN))
     cut = len(work.mesh("surface").corners) - len(whole.corners)
     counts: dict[str, float] = {
         "faces": len(whole.corners),
@@ -220,19 +217,17 @@ def _outcome(run: Run, work: _Work, whole: surface.Mesh, layout: texture.Layout)
         "textures": len(layout.pages),
         "patches": len(layout.image),
         "images": len(np.unique(layout.image)),
-        "unseen": bare,
+        "unseen": int(np.count_nonzero(layout.patch == views.UNSEEN)),
         "cut": cut,
         "area": float(f"{np.linalg.norm(whole.across, axis=1).sum() / 2:.4g}"),
     }
     notes = []
     shrunk = (layout.inner / layout.size).min(axis=1)
-    if np.median(shrunk) < 0.9:
-        notes.append(
-            f"half of the patches have {np.median(shrunk):.0%} of their images' resolution or less (mesh.texture_px)"
-        )
+    if (half := np.median(shrunk)) < 0.9:
+        notes.append(f"half of the patches have {half:.0%} of their images' resolution or less (mesh.texture_px)")
     if cut:
         notes.append(f"{cut} faces at the border of the surface were cut off, for no image sees them")
-    if unit != "m":
+    if world_unit(run.folder) != "m":
         notes.append("the model has no scale: lengths are in its own units")
     return Outcome(counts, notes=tuple(notes))
 

@@ -106,9 +106,8 @@ def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
     if in_one_piece(found.scene, tuning.scene.blocks):
         kept, names = found.pairs.kept(), found.scene.names
         believed = np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j))
-        model = with_surface(
-            model, ties.where(believed), lambda k: read_preview(run.folder, names[k]).xy, tuning.network.coarse.tracks
-        )
+        tracks = tuning.network.coarse.tracks
+        model = with_surface(model, ties.where(believed), lambda k: read_preview(run.folder, names[k]).xy, tracks)
     return model.visibility(tuning.network.coarse)
 
 

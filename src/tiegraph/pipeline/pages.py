@@ -86,9 +86,8 @@ class PageServer(ThreadingHTTPServer):
         if browser:
             webbrowser.open(self.url.replace(self.token, next(iter(self.once))))
         try:
-            self.serve_forever()
-        except KeyboardInterrupt:
-            pass
+            with suppress(KeyboardInterrupt):
+                self.serve_forever()
         finally:
             self.server_close()
 

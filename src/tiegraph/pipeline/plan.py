@@ -161,11 +161,8 @@ def _cameras(request: CameraRequest, tuning: ScanTuning) -> Rigged:
                               sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))  # fmt: skip
         mounted.append(MountedCamera(sensor.name, camera, pose))
     rig = Rig(spec.name, tuple(sensors), fixed=spec.fixed, nominal=spec.nominal, pairs=spec.pairs)
-    held = tuple(
-        k
-        for k, s in enumerate(sensors, 1)
-        if s.camera is not None and (rig.fixed or calibrated(s.camera)) and not s.camera_sigma_px
-    )
+    firm = [s.camera is not None and (rig.fixed or calibrated(s.camera)) and not s.camera_sigma_px for s in sensors]
+    held = tuple(k for k, is_held in enumerate(firm, 1) if is_held)
     return Rigged(mounted, held=held, fixed=rig.measured() and not rig.soft())
 
 

@@ -103,12 +103,8 @@ class OnSurface:
 
 
 _DONE = "dtm.jpg"  # the last file
-_STYLE = style(
-    "SimpleLine",
-    1.0,
-    {"line_color": "150,90,40,255", "line_width": "0.15", "line_width_unit": "MM"},
-    by=("outlineWidth", "if(&quot;index&quot;, 0.4, 0.15)"),
-)
+_LINE = {"line_color": "150,90,40,255", "line_width": "0.15", "line_width_unit": "MM"}
+_STYLE = style("SimpleLine", 1.0, _LINE, by=("outlineWidth", "if(&quot;index&quot;, 0.4, 0.15)"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,11 +279,8 @@ def products(run: Run) -> Outcome:
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
     about = {"place": place, "tuning": tuning, "tile": TILE}
     work = [_Work(run.folder, s, **about, pictures=pictures) for s in surfaces]
-    bare = [
-        TerrainWork(run.folder, s, **about, objects_m=run.settings.products.objects_m)
-        for s in surfaces
-        if place.has_terrain(s)
-    ]
+    objects_m = run.settings.products.objects_m
+    bare = [TerrainWork(run.folder, s, **about, objects_m=objects_m) for s in surfaces if place.has_terrain(s)]
     steps = [step for each in (*work, *bare) for step in each.steps()]
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
     for step in steps:

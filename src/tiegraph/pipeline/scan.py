@@ -21,20 +21,9 @@ from tiegraph.scan.recording import Recording
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings, video_offsets
+from tiegraph.scan.videos import video as film
 from tiegraph.scan.videos import videooffset
 from tiegraph.scan.videos.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
-from tiegraph.scan.videos.video import (
-    NEAREST_STEPS,
-    Pictures,
-    check_film,
-    is_of_lens,
-    nearest,
-    open_film,
-    picture_folders,
-    recordings_of,
-    sharpest,
-    take_pictures,
-)
 from tiegraph.scan.videos.videotime import CREATION_APART_S, VideoClock, video_clock
 from tiegraph.scene.bags import source_of, split_topics
 from tiegraph.scene.composed import carrying
@@ -82,7 +71,7 @@ def scan(run: Run) -> Outcome:
         told = (*told, *said)
     file = control_file(run)
     if file is not None:
-        told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at).notes)
+        told = (*told, *target_marks(run, scene, file, most=run.settings.tuning.targets.looked_at)[1])
     whole, scene = scene, carrying(scene)
     if whole is not scene:
         write_atomic(run.path("whole.json"), whole.to_json())
@@ -180,16 +169,10 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
     videos, groups, said = _in_time(run, videos)
     first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
     taken = run.map(_take, first, settings.video_fps)
-    others = [
-        _Job(
-            video=videos[k],
-            target=folder / videos[k].folder,
-            numbers=p.numbers,
-            stamps_s=tuple(s - videos[k].offset_s for s in p.stamps_s),
-        )
-        for g, p in zip(groups, taken)
-        for k in g[1:]
-    ]
+    others = []
+    for video, of_first in ((videos[k], p) for g, p in zip(groups, taken) for k in g[1:]):
+        stamps_s = tuple(s - video.offset_s for s in of_first.stamps_s)
+        others.append(_Job(video, folder / video.folder, of_first.numbers, stamps_s))
     beside = run.map(_take, others, settings.video_fps)
     notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
     if not has_images(folder) or len(find_images(folder)) < 2:
@@ -205,8 +188,8 @@ def _films(
 ) -> tuple[list[tuple[Recording, str]], list[str]]:
     """The recordings in videos and bags, each with the folder for its pictures; and notes on topics left out."""
     names = [b.name if b == root else b.relative_to(root).as_posix() for b in (*videos, *bags)]
-    folders = picture_folders(names)
-    items, notes = [r for v, f in zip(videos, folders) for r in recordings_of(v, f)], []
+    folders = film.picture_folders(names)
+    items, notes = [r for v, f in zip(videos, folders) for r in film.recordings_of(v, f)], []
     for bag, folder in zip(bags, folders[len(videos) :]):
         films, said = bag_films(bag, folder, asked)
         items += films
@@ -214,7 +197,7 @@ def _films(
     return items, notes
 
 
-def _at_once(recorded: Sequence[tuple[_Video, Pictures]], least_s: float) -> list[str]:
+def _at_once(recorded: Sequence[tuple[_Video, film.Pictures]], least_s: float) -> list[str]:
     """A note if recordings of known clocks overlap in time, as chapters do that all have the time of the first."""
     spans = sorted(
         (v.clock.start_s + p.stamps_s[0], v.clock.start_s + p.stamps_s[-1], v.name, v.folder)
@@ -246,10 +229,10 @@ def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]])
 def _look(item: tuple[Recording, str], settings: ScanSettings) -> _Video:
     recording, folder = item
     try:
-        check_film(recording)
+        film.check_film(recording)
     except OSError:
         return _Video(recording, folder)
-    with open_film(recording) as opened:
+    with film.open_film(recording) as opened:
         frame = next(opened.frames(), None)
         if frame is None:
             return _Video(recording, folder)
@@ -270,7 +253,7 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     groups = _groups(run, videos)
     told = videooffset.offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
-    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
+    lenses = {k for k, v in enumerate(videos) if film.is_of_lens(v.recording)} - told.keys()  # of one recording
     stamped = {  # topics whose stamps are of one clock
         k: videos[k].clock.start_s - videos[g[0]].clock.start_s
         for g in groups
@@ -336,7 +319,7 @@ def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
 
 
 def _curve(video: _Video) -> videooffset.MotionCurve:
-    with open_film(video.recording) as opened:
+    with film.open_film(video.recording) as opened:
         return videooffset.motion_curve(opened.frames())
 
 
@@ -344,16 +327,16 @@ def _offset_of(curves: tuple[videooffset.MotionCurve, videooffset.MotionCurve]) 
     return videooffset.find_offset(*curves)
 
 
-def _take(job: _Job, per_second: float) -> Pictures:
+def _take(job: _Job, per_second: float) -> film.Pictures:
     video = job.video
     if job.numbers is None:
-        choice = sharpest(per_second)
+        choice = film.sharpest(per_second)
     else:
-        choice = nearest(job.numbers, job.stamps_s, NEAREST_STEPS / video.fps)
-    return take_pictures(video.recording, job.target, choice, video.clock)
+        choice = film.nearest(job.numbers, job.stamps_s, film.NEAREST_STEPS / video.fps)
+    return film.take_pictures(video.recording, job.target, choice, video.clock)
 
 
-def _apart(job: _Job, taken: Pictures) -> str:
+def _apart(job: _Job, taken: film.Pictures) -> str:
     """Time offset of another camera's pictures from the instants of the first's."""
     if job.numbers is None or not taken.stamps_s:
         return ""
@@ -375,12 +358,10 @@ def describe(scene: Scene) -> list[str]:
     ]
     for rig in scene.rigs:
         for sensor in rig.sensors:
-            camera = sensor.camera
-            seen = (
-                f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px"
-                if camera
-                else "no image"
-            )
+            camera, seen = sensor.camera, "no image"
+            if camera:
+                focal = f"f = {camera.mean_focal_length():.0f} px"
+                seen = f"{camera.width} x {camera.height}, {camera.model.name}, {focal}"
             lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
     lines += [f"  . {note}" for note in scene.notes]
     lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]

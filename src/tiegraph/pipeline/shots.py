@@ -157,14 +157,11 @@ def posed_shots(run: Run, folder: Path) -> tuple[list[Path], str]:
 def _write(run: Run, folder: Path, poses: dict[int, np.ndarray], scene: Scene) -> list[Path]:
     origin, written = world_origin(run.folder), []
     for frame, pose in poses.items():
-        if not np.isfinite(pose).all():
-            continue
-        source = cloud_path(run.folder, scene, frame)
-        cloud = read_cloud(source)
-        moved = replace(cloud.moved(pose), origin=origin)
-        target = folder / f"{source.stem}.laz"
-        write_cloud(moved, target, float(np.nanmedian(cloud.sigma_m)))
-        written.append(target)
+        if np.isfinite(pose).all():
+            source = cloud_path(run.folder, scene, frame)
+            cloud = read_cloud(source)
+            written.append(folder / f"{source.stem}.laz")
+            write_cloud(replace(cloud.moved(pose), origin=origin), written[-1], float(np.nanmedian(cloud.sigma_m)))
     return written
 
 
@@ -227,13 +224,7 @@ def stations(
         first = ready[int(np.flatnonzero(np.isfinite(joined.poses[:, 0, 0]))[0])].name
         frame = f"that of {first}" if poses is None else f"the world of {poses.name}"
         frame = frame if origin is None else f"the world: {_called(origin)}"
-        result = {
-            **told,
-            "frame": frame,
-            "voxel_m": voxel,
-            "cloud": merged.counts,
-            "tuning": tunings.changed(),
-        }
+        result = {**told, "frame": frame, "voxel_m": voxel, "cloud": merged.counts, "tuning": tunings.changed()}
         result["notes"] = list(notes)
         numbers = pose_numbers([s.name for s in ready])
         write_tum(folder / "stations.tum", np.array(numbers, float), joined.poses)
@@ -297,17 +288,9 @@ def _read(files: Sequence[Path]) -> tuple[list[Shot], Origin | None, float]:
             known = transforms.rigid(np.eye(3), shift_of(cloud.origin) - shift_of(origin))
         spacings.append(float(np.median(spacing_of(cloud.xyz_m, known is None))))
         some = slice(None, None, -(-len(cloud) // 400_000))
-        normal = cloud.normal[some].astype(float)
-        shots.append(
-            Shot(
-                name=file.stem,
-                xyz=cloud.xyz_m[some],
-                normal=normal if np.isfinite(normal).all(axis=1).mean() > 0.5 else None,
-                sigma_m=cloud.sigma_m[some].astype(float),
-                known=known,
-                own_frame=known is None,
-            )
-        )
+        normal, sigma = cloud.normal[some].astype(float), cloud.sigma_m[some].astype(float)
+        oriented = normal if np.isfinite(normal).all(axis=1).mean() > 0.5 else None
+        shots.append(Shot(file.stem, cloud.xyz_m[some], oriented, sigma, known=known, own_frame=known is None))
     return shots, origin, float(f"{max(np.median(spacings), 1e-9):.2g}")
 
 

@@ -236,12 +236,7 @@ class Watched:
 
     def _model_if_due(self, now: float) -> None:
         scene, tuning = self.scene, self.tuning.model
-        if (
-            scene is None
-            or self._models.busy
-            or len(scene) < tuning.first
-            or any(n not in self._digest for n in scene.names)
-        ):
+        if scene is None or self._models.busy or len(scene) < tuning.first or set(scene.names) - self._digest.keys():
             return
         if self.arrivals.waiting() > max(_BATCH, len(scene) // 4):  # a folder that was full already: read it first
             return
@@ -291,11 +286,10 @@ class Watched:
     def keep(self) -> None:
         """Write ties, digests and the page."""
         self._unsaved = False
-        pairs = list(self._ties)
         numbers = {name: k for k, name in enumerate(sorted(self._digest))}
-        there = [(numbers[a], numbers[b], self._ties[a, b]) for a, b in pairs if a in numbers and b in numbers]
-        ends = np.array([t[:2] for t in there], int).reshape(-1, 2)
-        ties = PreviewMatches.make(ends[:, 0], ends[:, 1], [t[2] for t in there])
+        there = {e: m for e, m in self._ties.items() if numbers.keys() >= set(e)}
+        ends = np.array([(numbers[a], numbers[b]) for a, b in there], int).reshape(-1, 2)
+        ties = PreviewMatches.make(ends[:, 0], ends[:, 1], list(there.values()))
         known = json.dumps([[name, self._digest[name]] for name in numbers])
         save_npz(self.run.path(KEPT), known=np.array(known), **ties.to_npz())
         write_atomic(self.run.path(PAGE), page(self.state()))
@@ -308,6 +302,5 @@ class Watched:
             ties = PreviewMatches.from_npz(data)
         except (InputError, KeyError, ValueError):
             return
-        self._digest = dict(known)
-        for t, (a, b) in enumerate(zip(ties.i.tolist(), ties.j.tolist())):
-            self._ties[known[a][0], known[b][0]] = ties.of(t)
+        self._digest, pairs = dict(known), zip(ties.i.tolist(), ties.j.tolist())
+        self._ties = {(known[a][0], known[b][0]): ties.of(t) for t, (a, b) in enumerate(pairs)}

@@ -85,14 +85,7 @@ def propagate(network: Network, by: Propagate, tie_px: float, calibrated: bool =
     found = by(network.model, calibrated)
     own = own_variance(network.model, found.points)
     shared = np.clip(found.point_sigma**2 - found.pixel_sigma**2 * own, 0, None)
-    return Shape(
-        frames=found.frames,
-        covariance=found.covariance,
-        scale=found.scale,
-        pixel_sigma=tie_px,
-        points=found.points,
-        point_sigma=np.sqrt(shared + tie_px**2 * own),
-    )
+    return replace(found, pixel_sigma=tie_px, point_sigma=np.sqrt(shared + tie_px**2 * own))
 
 
 def own_variance(model: pycolmap.Reconstruction, points: np.ndarray) -> np.ndarray:
@@ -119,14 +112,9 @@ def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expect
     xyz = np.array([network.model.point3D(int(k)).xyz for k in shape.points]).reshape(-1, 3)
     near = np.argmin(np.linalg.norm(xyz[:, None] - centres[None], axis=2), axis=1)
     world, placed = _world(shape, centres, xyz, known)
-    return Expected(
-        frames=shape.frames,
-        shape=shape.sigma(),
-        world_axes=world,
-        near=near,
-        point_shape=np.linalg.norm(shape.point_sigma, axis=1),
-        point_world=np.sqrt(np.sum(shape.point_sigma**2, axis=1) + np.clip(placed, 0, None)),
-    )
+    alone = np.linalg.norm(shape.point_sigma, axis=1)
+    point_world = np.sqrt(np.sum(shape.point_sigma**2, axis=1) + np.clip(placed, 0, None))
+    return Expected(shape.frames, shape.sigma(), world, near, point_shape=alone, point_world=point_world)
 
 
 def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
@@ -316,12 +304,8 @@ def _worst(path: Path, e: Expected, known: Known) -> list[str]:
 
 def _lens_advice(shape: Shape, calibrated: Shape) -> list[str]:
     now, then = (float(np.median(np.linalg.norm(s.point_sigma, axis=1))) for s in (shape, calibrated))
-    if then > (1 - _GAIN) * now:
-        return []
-    return [
-        f"lenses calibrated beforehand (tiegraph calibrate, --rig) bring points from {_metres(now)} to {_metres(then)} "
-        "in shape (medians)"
-    ]
+    text = "lenses calibrated beforehand (tiegraph calibrate, --rig) bring points from {} to {} in shape (medians)"
+    return [] if then > (1 - _GAIN) * now else [text.format(_metres(now), _metres(then))]
 
 
 def _advice(path: Path, network: Network, shape: Shape, known: Known, world: WorldRequest) -> list[str]:
@@ -333,16 +317,11 @@ def _advice(path: Path, network: Network, shape: Shape, known: Known, world: Wor
     added = control_point(path, network, shape, row, world.control_sigma)
     common = np.zeros(3) if world.control else known.common
     then = expected(shape, network, path, replace(known, fixes=(*known.fixes, added), common=common))
-    before, after = float(now.world.max()), float(then.world.max())
+    before, after, place = float(now.world.max()), float(then.world.max()), path.place(int(now.frames[row]))
+    change = f"{_metres(before)} to {_metres(after)}"
     if after > (1 - _GAIN) * before:
-        return [
-            f"one more control point at {path.place(int(now.frames[row]))}, the worst place, would change little "
-            f"({_metres(before)} to {_metres(after)})"
-        ]
-    return [
-        f"a control point of {_metres(world.control_sigma)} at {path.place(int(now.frames[row]))} brings the worst "
-        f"position from {_metres(before)} to {_metres(after)}"
-    ]
+        return [f"one more control point at {place}, the worst place, would change little ({change})"]
+    return [f"a control point of {_metres(world.control_sigma)} at {place} brings the worst position from {change}"]
 
 
 def _middle(values: np.ndarray) -> float:

@@ -97,9 +97,8 @@ def above_zero(option: str, value: float, what: str = "a number") -> None:
 def check_overlap(name: str, value: float) -> None:
     """Raises InputError unless it is a share."""
     if not 0 <= value < 1:
-        raise InputError(
-            f"--{name} {value:g}: an overlap is a share from 0 to below 1, such as 0.8; at 1 no frame is new"
-        )
+        said = "an overlap is a share from 0 to below 1, such as 0.8; at 1 no frame is new"
+        raise InputError(f"--{name} {value:g}: {said}")
 
 
 def station(lens: Lens, distance_m: float, wanted: Wanted) -> Station:

@@ -261,10 +261,8 @@ def waypoint_csv(path: Path, anchor: Anchor | None) -> str:
 def waypoint_kml(path: Path, anchor: Anchor) -> str:
     """Legs and frames for map programs (OGC KML 2.2, absolute heights)."""
     places = np.round(anchor.coordinates(path.centres)[0], 9)[:, [1, 0, 2]].tolist()
-    legs = [
-        ("LineString", escape(n), [p for p, k in zip(places, path.leg) if k == leg]) for leg, n in enumerate(path.legs)
-    ]
-    marks = []
+    of_leg = [[p for p, k in zip(places, path.leg) if k == leg] for leg in range(len(path.legs))]
+    legs, marks = [("LineString", escape(name), own) for name, own in zip(path.legs, of_leg)], []
     for kind, name, at in [*legs, *(("Point", str(k), [p]) for k, p in enumerate(places, 1))]:
         where = f"<coordinates>{' '.join(','.join(map(str, p)) for p in at)}</coordinates>"
         shape = f"<{kind}><altitudeMode>absolute</altitudeMode>{where}</{kind}>"

@@ -58,7 +58,10 @@ class Plan:
 
     def files(self) -> dict[str, str]:
         """name -> content of what is written beside plan.json."""
-        out = {"stations.csv": station_csv(self.stations)}
+        rows = [s.row() for s in self.stations]
+        columns = list(dict.fromkeys(name for row in rows for name in row))  # a column for each figure of any station
+        cells = ((row.get(name) for name in columns) for row in rows)
+        out = {"stations.csv": csv_text(columns, (["" if v is None else f"{v:.6g}" for v in row] for row in cells))}
         if self.path is not None:
             out["waypoints.csv"] = waypoint_csv(self.path.path, self.anchor)
             if self.anchor is not None:
@@ -150,14 +153,6 @@ class Table:
     sentence: str = ""
 
 
-def station_csv(stations: Sequence[Station]) -> str:
-    """One station a line, a column for each figure of any of them."""
-    rows = [s.row() for s in stations]
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    cells = ((row.get(name) for name in columns) for row in rows)
-    return csv_text(columns, (["" if v is None else f"{v:.6g}" for v in row] for row in cells))
-
-
 def station_table(stations: Sequence[Station]) -> Table:
     """The sweep: precision by the fewest and the most rays."""
     rows = []
@@ -185,11 +180,8 @@ def path_tables(plan: PathPlan, cost: Effort) -> list[Table]:
     for p in plan.places:
         sigma = (p.shape_m, p.world_m, p.point_shape_m, p.point_world_m)
         rows.append((p.leg, f"{p.from_m:.0f} - {p.to_m:.0f}", str(p.frames), str(p.ties), *(_mm(v) for v in sigma)))
-    places = Table(
-        "expected sigma by place, mm",
-        ("leg", "m", "frames", "ties", "cameras, shape", "cameras, world", "points, shape", "points, world"),
-        tuple(rows),
-    )
+    heads = ("leg", "m", "frames", "ties", "cameras, shape", "cameras, world", "points, shape", "points, world")
+    places = Table("expected sigma by place, mm", heads, tuple(rows))
     site = "-" if cost.site_s is None else f"{cost.site_s / 60:.1f}"
     effort = Table(
         "effort",

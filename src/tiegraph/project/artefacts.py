@@ -1,10 +1,7 @@
 """The artefacts of a run folder: which are up to date, which were lost or changed, and which files may be removed.
 
-A stage is up to date if its receipt has the same key, its sources are unchanged, and all its files are as
-it left them. Interrupted with the same key: finished items stay. Otherwise its files are removed, and only these:
-a file that is not on its list was not made by us and is refused; a file that was changed since is moved to
-``set_aside/``. A file unchanged since, or one that a stage was writing when it ended, contains no user data and is
-removed.
+``tiegraph.project`` says when a stage is up to date and what becomes of its files. A file unchanged since it was made,
+or one that a stage was writing when it ended, contains no user data and is removed.
 """
 
 import dataclasses
@@ -181,9 +178,8 @@ class Artefacts:
     def _apart(self, stage: stages.Stage) -> list[str]:
         """Artefacts of other stages inside this one's."""
         mine = _tops(stage)
-        return [
-            t for s in self._stages if s is not stage for t in _tops(s) if stages.covered(t, mine) and t not in mine
-        ]
+        others = (top for s in self._stages if s is not stage for top in _tops(s))
+        return [top for top in others if stages.covered(top, mine) and top not in mine]
 
     def _differences(self, stage: stages.Stage, thorough: bool) -> Iterable[tuple[str, str]]:
         shared = {n for s in self._stages if self._changed(s) for n in s.changes}

@@ -32,18 +32,17 @@ def prepare(run: str, threads: int, probe: tuple[str, list[str]] | None) -> tupl
     with _turn:
         limit_threads(threads)
         _runs.add(run)
-        problem = ""
+        problem = doing = ""
         folder, reads = probe or ("", [])
         try:
             for path in reads:
+                doing = f"read {path}"
                 os.stat(path)
-        except OSError as error:
-            problem = f"cannot read {path} ({error.strerror})"
-        try:
-            if folder and not problem:
+            if folder:
+                doing = f"write into {Path(folder).parent}"
                 tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
-            problem = f"cannot write into {Path(folder).parent} ({error.strerror})"
+            problem = f"cannot {doing} ({error.strerror})"
         return socket.gethostname(), os.getpid(), problem
 
 

@@ -108,8 +108,8 @@ def write_settings(folder: Path, text: str) -> Callable[[], None]:
     path, mark = folder / SETTINGS, _mark(folder)
     before = path.read_bytes() if path.exists() else None
     if before is not None and digest(before.hex()) != mark.get("settings"):
-        number = next(n for n in itertools.count(1) if not os.path.lexists(_kept(folder, n)))
-        write_atomic(_kept(folder, number), before)
+        names = (path.with_name(f"{path.stem}.before-{n}.toml") for n in itertools.count(1))
+        write_atomic(next(name for name in names if not os.path.lexists(name)), before)
     write_atomic(path, text)
     write_atomic(folder / MARK, json.dumps({**mark, "settings": digest(text.encode().hex())}))
 
@@ -121,10 +121,6 @@ def write_settings(folder: Path, text: str) -> Callable[[], None]:
         write_atomic(folder / MARK, json.dumps(mark))
 
     return take_back
-
-
-def _kept(folder: Path, number: int) -> Path:
-    return folder / f"{SETTINGS.removesuffix('.toml')}.before-{number}.toml"
 
 
 def _mark(folder: Path) -> dict:
@@ -186,10 +182,8 @@ def _logged(path: Path) -> Iterator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-        try:
+        with suppress(OSError):  # the disk is full: the missing records were lost before
             stream.close()
-        except OSError:  # the disk is full: the missing records were lost before
-            pass
 
 
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)

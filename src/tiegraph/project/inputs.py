@@ -98,27 +98,24 @@ class Stamps:
 
 
 def _there(given: Path | str) -> bool:
-    try:
+    with suppress(OSError, ValueError):  # words that are no path
         return Path(given).exists()
-    except (OSError, ValueError):  # words that are no path
-        return False
+    return False
 
 
 def _is(path: Path, entry: _Entry) -> bool:
-    try:
+    with suppress(OSError):
         info = path.stat()
-    except OSError:
-        return False
-    return [info.st_size, info.st_mtime_ns] == [entry[0], entry[2]]
+        return [info.st_size, info.st_mtime_ns] == [entry[0], entry[2]]
+    return False
 
 
 def _read(path: Path) -> tuple[dict[str, _Entry], dict[str, Any]]:
     """Nothing if there is none, or none that can be read: then times count again."""
-    try:
+    with suppress(OSError, ValueError, KeyError, TypeError):
         told = json.loads(path.read_text(encoding="utf-8"))
         return dict(told["files"]), dict(told["given"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}, {}
+    return {}, {}
 
 
 FOLLOW = Path("auto")
@@ -230,15 +227,11 @@ def check_path(option: str, path: Path, kind: str) -> None:
     if not there:
         raise InputError(f"{option} {path}: no such {kind}; correct the path, or omit the option")
     if not (folder and "folder" in kind) and not (file and "file" in kind):
-        what = "a folder" if folder else "a file" if file else _what(path)
+        what = "a folder" if folder else "a file" if file else "no file now"
+        try:
+            regular(path, None)
+        except OSError as error:  # a pipe, a device
+            what = what if folder or file else str(error.strerror)
         raise InputError(f"{option} {path} is {what}; give a {kind}")
     if not os.access(path, os.R_OK | (os.X_OK if folder else 0)):
         raise InputError(f"{option} {path}: no permission to read it")
-
-
-def _what(path: Path) -> str:
-    try:
-        regular(path, None)
-    except OSError as error:
-        return str(error.strerror)
-    return "no file now"

@@ -168,16 +168,12 @@ def map_items(
         if isinstance(executor, LocalPool):
             executor.end()  # a worker that was starting meanwhile gets no notice, and the executor would wait for it
         raise ProcessLost(why) from None
-    except Exception:
+    except BaseException as error:
+        if isinstance(executor, LocalPool) and not isinstance(error, Exception):  # Ctrl-C
+            executor.end()
+            raise
         for future in futures:
             future.cancel()
-        raise
-    except BaseException:  # Ctrl-C
-        if isinstance(executor, LocalPool):
-            executor.end()
-        else:
-            for future in futures:
-                future.cancel()
         raise
     return [r for chunk in results for r in chunk]
 

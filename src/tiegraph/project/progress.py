@@ -5,19 +5,11 @@ import logging
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import psutil
+from rich import progress as bars
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from tiegraph.forking import server_pid
 from tiegraph.text import printable
@@ -35,16 +27,14 @@ class Reporter:
     def __init__(self, style: str = "auto") -> None:
         self.style = style
         self.console = _Console(stderr=True, highlight=False, emoji=False, soft_wrap=True)
-        self._progress: Progress | None = None
-        self._task: TaskID | None = None
+        self._progress: bars.Progress | None = None
+        self._task: bars.TaskID | None = None
 
     def say(self, text: str) -> None:
         """One line for people."""
         if self.style == "auto":
-            try:
+            with suppress(OSError):  # standard error is full or closed: the results matter more, and the log has it
                 self.console.print(printable(text), markup=False)
-            except OSError:  # standard error is full or closed: the results matter more, and the log has it
-                pass
 
     def event(self, kind: str, **data: object) -> None:
         """One event for programs (``--json``)."""
@@ -58,9 +48,10 @@ class Reporter:
         if self.style != "auto" or not self.console.is_terminal:
             yield
             return
-        columns = (TextColumn("{task.description:>9}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-                   TextColumn("ETA"), TimeRemainingColumn(), TextColumn("{task.fields[memory]}"))  # fmt: skip
-        with Progress(*columns, console=self.console, transient=True) as self._progress:
+        name_of, memory_of = (bars.TextColumn(text) for text in ("{task.description:>9}", "{task.fields[memory]}"))
+        counts = bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeElapsedColumn()
+        columns = (name_of, *counts, bars.TextColumn("ETA"), bars.TimeRemainingColumn(), memory_of)
+        with bars.Progress(*columns, console=self.console, transient=True) as self._progress:
             self._task = self._progress.add_task(name, total=None, memory="")
             yield
         self._progress = None
@@ -125,37 +116,31 @@ class Meter:
         self._thread.start()
 
     def _cpu(self) -> float:
-        own = self._process.cpu_times()
-        total = own.user + own.system + own.children_user + own.children_system
-        for child in self._children():
-            try:
-                times = child.cpu_times()
+        total = 0.0
+        for process in self._family():
+            with suppress(psutil.Error):
+                times = process.cpu_times()
                 total += times.user + times.system + times.children_user + times.children_system
-            except psutil.Error:
-                pass
         return total
 
-    def _children(self) -> list[psutil.Process]:
-        try:
-            return self._process.children(recursive=True)
-        except psutil.Error:
-            return []
+    def _family(self) -> list[psutil.Process]:
+        """This process and its children; one that ends meanwhile raises psutil.Error."""
+        with suppress(psutil.Error):
+            return [self._process, *self._process.children(recursive=True)]
+        return [self._process]
 
     def _watch(self) -> None:
-        while True:
+        self._look()
+        while not self._stop.wait(self._interval):
             self._look()
-            if self._stop.wait(self._interval):
-                self._look()
-                return
+        self._look()
 
     def _look(self) -> None:
         rss = 0
-        for process in [self._process, *self._children()]:
-            try:
+        for process in self._family():
+            with suppress(psutil.Error):
                 # The server of helpers shares all its memory with this process.
                 rss += 0 if process.pid == server_pid() else process.memory_info().rss
-            except psutil.Error:
-                pass
         self.peak_mib = max(self.peak_mib, rss / 2**20)
 
     def stop(self) -> dict[str, float]:

@@ -283,22 +283,20 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         log.error("stage %s%s", stage.name, f": {error or 'stopped'}" if own else "", exc_info=None if own else error)
         with suppress(OSError, TiegraphError):  # on a full disk the journal stays, with the same content
             artefacts.recover()
-        told = explained(error, run.folder) if isinstance(error, Exception) else None
-        if told is None and isinstance(error, OSError):
-            told = InputError(f"stage {stage.name}: {error}; finished work is kept, run the same command again")
-        if told is not None:
+        if isinstance(error, Exception) and (told := explained(error, run.folder)) is not None:
             raise told from error
+        if isinstance(error, OSError):
+            said = f"stage {stage.name}: {error}; finished work is kept, run the same command again"
+            raise InputError(said) from error
         raise
     finally:
-        used = meter.stop()
-    seconds = round(time.perf_counter() - start, 2)
-    section = getattr(run.settings, stage.name).model_dump(mode="json")
+        used, seconds = meter.stop(), round(time.perf_counter() - start, 2)
     tunings = {engine: getattr(run.settings.tuning, engine) for engine in engines(stage, run.settings)}
     changed = {engine: t.model_dump(mode="json", exclude_defaults=True) for engine, t in tunings.items()}
     plugged = [p for n in (stage.name, *stage.uses) for p in packages(getattr(run.settings, n)).values()]
     more = {
         "key_parts": parts,
-        "settings": section,
+        "settings": getattr(run.settings, stage.name).model_dump(mode="json"),
         "tuning": {engine: values for engine, values in changed.items() if values},
         "seconds": seconds,
         **used,
@@ -306,24 +304,21 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
     }
     run.rest()
-    receipt = artefacts.finish(stage, key, outcome, more)
-    _say_done(stage, receipt, run.reporter)
+    _say_done(stage, artefacts.finish(stage, key, outcome, more), run.reporter)
 
 
 def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
     counts = counted(receipt["counts"])
     reporter.say(f"{stage.name:>9}  {receipt['seconds']:7.1f} s  {receipt['peak_mib']:6.0f} MiB  {counts}")
+    log.info("stage %s done in %s s: %s", stage.name, receipt["seconds"], counts)
     for note in receipt["notes"]:
         reporter.say(f"{'':>9}  . {note}")
+        log.info("stage %s: %s", stage.name, note)
     for text in receipt["contradictions"]:
         reporter.say(f"{'':>9}  ! {text}")
+        log.warning("stage %s: contradiction: %s", stage.name, text)
     told = ("stage", "seconds", "cpu_s", "peak_mib", "counts", "notes", "contradictions")
     reporter.event("finished", **{k: receipt[k] for k in told})
-    log.info("stage %s done in %s s: %s", stage.name, receipt["seconds"], counts)
-    for text in receipt["contradictions"]:
-        log.warning("stage %s: contradiction: %s", stage.name, text)
-    for note in receipt["notes"]:
-        log.info("stage %s: %s", stage.name, note)
 
 
 def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:

@@ -76,11 +76,6 @@ class Tunings(Section):
     odometry: OdometryTuning = Field(default_factory=OdometryTuning)
 
 
-@cache
-def _tunings() -> Tunings:
-    return Tunings()
-
-
 class Settings(Section):
     """Every setting, by stage; and the engines' constants."""
 
@@ -103,7 +98,7 @@ class Settings(Section):
     report: ReportSettings = Field(default_factory=ReportSettings)
     shots: ShotsSettings = Field(default_factory=ShotsSettings)
     mesh: MeshSettings = Field(default_factory=MeshSettings)
-    tuning: Tunings = Field(default_factory=_tunings)
+    tuning: Tunings = Field(default_factory=cache(Tunings))
 
 
 STAGED = tuple(name for name in Settings.model_fields if name != "tuning")

@@ -1,12 +1,8 @@
 """A stage turns artefacts into artefacts, and leaves a receipt when it is done (or began). Knows no photogrammetry.
 
-A stage's key is a hash over its name, its code version, its settings (files they name included) and the keys of the
-stages it needs: its sources, before anything is made. The parts of the key are in the receipt one by one, so that
-``status`` can name what changed.
-
-With the receipt are the versions that the result depends on, and the list of the files that the stage made: only these
-may be removed, and changed ones are recognised. A file counts by its size and content; its time only saves reading it
-again. A link counts by its target.
+``tiegraph.project`` says what the key of a stage is; its parts are in the receipt one by one, so that ``status`` can
+name what changed. In the list of the files that a stage made a file counts by its size and content; its time only saves
+reading it again. A link counts by its target.
 """
 
 import hashlib
@@ -16,6 +12,7 @@ import platform
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import cache
@@ -182,8 +179,7 @@ def _walk(folder: Path, name: str) -> Iterator[str]:
 def recorded(folder: Path, names: Sequence[str]) -> Ledger:
     """The records of files, once they are on the disk."""
     with ThreadPoolExecutor(_THREADS) as threads:
-        entries = threads.map(lambda name: _entry(folder / name), names)
-        ledger = dict(zip(names, entries))
+        ledger = dict(zip(names, threads.map(_entry, (folder / name for name in names))))
     for parent in {(folder / name).parent for name in names}:
         sync(parent)
     return ledger
@@ -196,10 +192,9 @@ def digests(paths: Sequence[Path]) -> list[str]:
 
 
 def _digest_if_readable(path: Path) -> str:
-    try:
+    with suppress(OSError):
         return _digest(path)
-    except OSError:
-        return ""
+    return ""
 
 
 def _entry(path: Path) -> list:
@@ -249,10 +244,8 @@ def take_away(folder: Path, names: Iterable[str]) -> None:
         (folder / name).unlink(missing_ok=True)
         parents |= set(PurePosixPath(name).parents)
     for parent in sorted(parents - {PurePosixPath(".")}, key=lambda p: -len(p.parts)):
-        try:
+        with suppress(OSError):  # not empty, or gone
             (folder / parent).rmdir()
-        except OSError:  # not empty, or gone
-            pass
 
 
 def put_aside(folder: Path, names: Sequence[str]) -> str:
@@ -269,18 +262,12 @@ def put_aside(folder: Path, names: Sequence[str]) -> str:
 
 def read_journal(folder: Path) -> list[str]:
     """Names that were claimed since the journal was begun; a line cut off by a power failure is ignored."""
-    try:
-        lines = (folder / JOURNAL).read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        return []
-    return [name for line in lines if isinstance(name := _parsed(line), str)]
-
-
-def _parsed(line: str) -> Any:
-    try:
-        return json.loads(line)
-    except ValueError:
-        return None
+    names = []
+    with suppress(OSError):
+        for line in (folder / JOURNAL).read_text(encoding="ascii", errors="replace").splitlines():
+            with suppress(ValueError):
+                names.append(json.loads(line))
+    return [name for name in names if isinstance(name, str)]
 
 
 class Receipts:
@@ -332,7 +319,6 @@ def software() -> dict[str, str]:
 
 @cache  # every receipt has it, and reading a package's description takes milliseconds
 def _version(package: str) -> str:
-    try:
+    with suppress(PackageNotFoundError):
         return version(package)
-    except PackageNotFoundError:
-        return ""
+    return ""

@@ -231,14 +231,9 @@ def _together(function: Callable[[str], Any], names: Sequence[str]) -> Iterator[
 def _read(path: Path) -> dict[str, list[Any]]:
     """The last entry of each file in a list; a line that a kill has cut off is none."""
     found: dict[str, Any] = {}
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return {}
-    for line in lines:
-        try:
-            name, entry = json.loads(line)
-        except ValueError:
-            continue
-        found[name] = entry
+    with suppress(OSError):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            with suppress(ValueError):
+                name, entry = json.loads(line)
+                found[name] = entry
     return {name: entry for name, entry in found.items() if entry is not None}

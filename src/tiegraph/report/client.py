@@ -19,7 +19,7 @@ from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.summary import Verdict
 from tiegraph.report.texts import capital, said, t
-from tiegraph.text import finite, printable
+from tiegraph.text import finite
 
 FORMAT = 1
 _FILES = {
@@ -184,7 +184,7 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if hasattr(value, "__html__"):
         value = str(escape(value).striptags())
-    return printable(formatting.without_folders(value)) if isinstance(value, str) else value
+    return formatting.shown(value) if isinstance(value, str) else value
 
 
 def _extent(xyz: np.ndarray) -> list[float]:

@@ -9,6 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from tiegraph.report.texts import said, t
+from tiegraph.text import printable
 
 # An absolute path of two names or more, on Linux, macOS or Windows; ends where a space, a quote or a comma does.
 _FOLDERS = re.compile(r"(?<![\w.:/\\])(?:/[^\s/:,;'\"()]+)+/(?=[^\s/:,;'\"()])|\b[A-Za-z]:\\(?:[^\s\\:,;'\"]+\\)+")
@@ -97,16 +98,13 @@ def table(data: Any, title: str = "", key: str = "") -> Table | None:
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in columns)
     printed = []
     for c, (head, column) in enumerate(zip(heads, columns)):
-        texts = _column(column) if numeric[c] else [_word(head, cell(v)) for v in column]
+        names = head in _NAMES  # of cameras, passes and images: they stay in every language
+        words = (text if names and text not in _NO_NAMES else said(text) for text in map(cell, column))
+        texts = _column(column) if numeric[c] else list(words)
         if key and numeric[c]:
             texts = [text if text == NONE else marked(f"{key}.{r}.{c}", text) for r, text in enumerate(texts)]
         printed.append(texts)
     return Table(columns=tuple(map(said, heads)), rows=tuple(zip(*printed)), numeric=numeric, title=title)
-
-
-def _word(column: str, text: str) -> str:
-    """A text of a table in the language of the page; names of cameras, passes and images stay."""
-    return text if column in _NAMES and text not in _NO_NAMES else said(text)
 
 
 def marked(key: str, text: str) -> Markup:
@@ -124,9 +122,10 @@ def _column(values: Sequence[Any]) -> list[str]:
     return [f"{v:,.{digits}f}".replace(",", "\u202f") if is_number(v) else NONE for v in values]
 
 
-def without_folders(text: str) -> str:
-    """A text with absolute paths reduced to their last name: folders of the maker's machine are private."""
-    return _FOLDERS.sub("", text)
+def shown(text: str) -> str:
+    """A text with invisible characters escaped, and with absolute paths reduced to their last name: folders of the
+    maker's machine are private."""
+    return printable(_FOLDERS.sub("", text))
 
 
 def cell(value: Any) -> str:

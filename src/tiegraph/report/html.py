@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from collections import Counter
 from datetime import datetime, timezone
 from functools import cache
 from pathlib import Path
@@ -22,10 +23,9 @@ from tiegraph.report.drawing import ALERT, CLASSES, Series, arrows, mask_share, 
 from tiegraph.report.network import network_part
 from tiegraph.report.runfolder import Model, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.texts import capital, current, language, said, t
+from tiegraph.report.texts import capital, language, said, t
 from tiegraph.scene.atomic import replacing, scratch_folder
 from tiegraph.scene.scene import Scene
-from tiegraph.text import printable
 
 VIEW_POINTS = 4_000_000  # of the cloud, drawn in the static views
 _DROPPED_SHOWN = 200
@@ -89,7 +89,7 @@ def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table |
         verdict = summary.verdict(run)
         made = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
         context = {
-            "language": current(),
+            "language": settings.language,
             "client": client_page(run, settings, seen, verdict),
             "title": settings.title or run.path.resolve().name,
             "made": made,
@@ -119,7 +119,7 @@ def environment() -> jinja2.Environment:
     made = jinja2.Environment(
         loader=jinja2.PackageLoader("tiegraph.report", "."),
         autoescape=True,
-        finalize=lambda value: _shown(value) if type(value) is str else value,  # not of Markup, which is ours
+        finalize=lambda value: formatting.shown(value) if type(value) is str else value,  # not of Markup, which is ours
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -129,17 +129,14 @@ def environment() -> jinja2.Environment:
     return made
 
 
-def _shown(value: str) -> str:
-    return printable(formatting.without_folders(value))
-
-
 def _how_sure(run: RunFolder) -> dict[str, Any]:
     """Every accuracy with what it does not prove, the statement of each source, and unknown values."""
     out: dict[str, Any] = {"table": None, "placement": "", "evidence": parts.evidence_table(run), "without": []}
+    out["passes"] = parts.passes_part(run)
     if run.accuracy is None:
-        return out | {"passes": {"table": None, "map": None}}
+        return out
     out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
-    out |= {"without": accuracy.without(run.accuracy), "passes": parts.passes_part(run)}
+    out["without"] = accuracy.without(run.accuracy)
     if run.scene is not None and len(run.scene.sequences) > 1 and out["passes"]["table"] is None:
         text = "The clouds of the passes were not compared with each other, which takes depth maps of two that "
         out["without"].append(t(text + "meet (`tiegraph cloud` does it): an error of one pass may be hidden."))
@@ -173,7 +170,8 @@ def _images(run: RunFolder) -> dict[str, Any]:
     rows = summary.image_rows(run)
     shown = rows[:_IMAGES_SHOWN]
     odd, used = (_image_table(run, [r for r in shown if bool(r.reason) == wanted]) for wanted in (True, False))
-    counts = [(name, formatting.count(n)) for name, n in summary.counts(rows)]
+    found = Counter(row.state for row in rows)
+    counts = [(said(state), formatting.count(found[state])) for state in summary.STATES if found[state]]
     return {"there": bool(rows), "counts": counts, "more": max(0, len(rows) - _IMAGES_SHOWN), "odd": odd, "used": used}
 
 
@@ -298,10 +296,8 @@ def _space(run: RunFolder, seen: maps.Scenery | None, settings: ReportSettings) 
     if seen is None:
         return out
     out |= {"overlap": maps.overlap_map(seen), "ellipses": maps.ellipse_map(run, seen)}
-    return out | {
-        "views": [*views(run, seen), *parts.product_views(run)],
-        **viewer_part(run, seen, settings.viewer_points),
-    }
+    out["views"] = [*views(run, seen), *parts.product_views(run)]
+    return out | viewer_part(run, seen, settings.viewer_points)
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
@@ -311,10 +307,9 @@ _REMEDY = "open it in a browser and print it to a file there"
 
 def find_browser() -> str:
     """Path of a browser that prints. Raises EngineMissing with the remedy if there is none."""
-    for name in BROWSERS:
-        found = shutil.which(name)
-        if found:
-            return found
+    found = next(filter(None, map(shutil.which, BROWSERS)), "")
+    if found:
+        return found
     raise EngineMissing(
         f"--pdf needs a browser of the Chromium family, and none of {', '.join(BROWSERS)} is on the PATH: install one, "
         "or open report.html in any browser and print it to a file there"

@@ -190,10 +190,8 @@ def _passes(seen: Scenery, given: np.ndarray, backdrop: str, ellipses: Sequence[
     parts = [drawing.dots(place.at(given), "var(--soft)", 2.5)]
     for k, track in enumerate(seen.tracks):
         at = place.at(track.positions[:, :2])
-        parts += [
-            drawing.line(at, drawing.pass_colour(k), "way") if track.name != "images" else "",
-            drawing.dots(at, drawing.pass_colour(k), 4),
-        ]
+        parts.append(drawing.line(at, drawing.pass_colour(k), "way") if track.name != "images" else "")
+        parts.append(drawing.dots(at, drawing.pass_colour(k), 4))
     missing = np.concatenate([np.zeros((0, 3)), *(track.missing for track in seen.tracks)])
     for x, y in place.at(missing):
         for side in (4, -4):

@@ -89,20 +89,14 @@ def funnel(rows: Sequence[tuple[str, int, str]]) -> Markup:
     drawn: list[tuple[str, Sequence[tuple[float, str]], str]] = []
     left = 0
     for name, value, colour in rows:
-        lost = name.startswith("dropped")
-        left = left - value if lost else value
-        parts, end = [(left, colour)], formatting.count(left)
-        if lost:
-            parts = [(left, LIGHT), (value, colour)]
+        name, _, reason = name.partition(": ")  # of what was dropped
+        left = left - value if reason else value
+        words, parts, end = said(name), [(left, colour)], formatting.count(left)
+        if reason:
+            words, parts = f"{t(name)}: {said(reason)}", [(left, LIGHT), (value, colour)]
             end = f"\N{MINUS SIGN}{formatting.count(value)} \N{RIGHTWARDS ARROW} {end}"
-        drawn.append((step_name(name), parts, end))
+        drawn.append((words, parts, end))
     return bars(drawn, t("From candidates to ties"))
-
-
-def step_name(name: str) -> str:
-    """A row of the funnel in the language of the page."""
-    head, _, reason = name.partition(": ")
-    return f"{t('dropped')}: {said(reason)}" if reason else said(head)
 
 
 def ties(pairs: Pairs, images: int) -> np.ndarray:

@@ -194,9 +194,8 @@ class RunFolder:
         whole = _try(self.path / "whole.json", _scene)
         if whole is None or self.scene is None:
             return ()
-        placed = (
-            self.model.images.placed if self.model is not None and self.hanging[1] else np.zeros(len(self.scene), bool)
-        )
+        nothing = np.zeros(len(self.scene), bool)
+        placed = self.model.images.placed if self.model is not None and self.hanging[1] else nothing
         frames = {int(whole.frame[whole.image_index[n]]) for n, has in zip(self.scene.names, placed) if has}
         return tuple((whole.names[k], int(whole.frame[k]) in frames) for k in np.flatnonzero(~carries(whole)))
 

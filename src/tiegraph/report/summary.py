@@ -170,9 +170,8 @@ def tiles(run: RunFolder) -> list[tuple[str, str]]:
     if run.scene is not None and run.model is None:
         out.append((count(len(run.scene)), t("images")))
     if run.model is not None:
-        out.append(
-            (f"{int(run.model.images.registered.sum())} / {len(run.model.images.registered)}", t("registered images"))
-        )
+        registered = run.model.images.registered
+        out.append((f"{int(registered.sum())} / {len(registered)}", t("registered images")))
     if run.pairs is not None:
         label = t("verified pairs") if is_matched(run.pairs) else t("pairs to match")
         out.append((count(len(tied(run.pairs))), label))
@@ -212,13 +211,10 @@ def registered_tables(run: RunFolder) -> list[Table]:
     out = [Table(columns=columns, rows=tuple(rows), numeric=numeric, title=t("Registered images"))]
     sections = scene.section[scene.frame]
     if len(np.unique(sections)) > 1:
-        body = [
-            (
-                section_name(run, int(s)),
-                *(count(int(what[sections == s].sum())) for what in (registered, by_rig, every)),
-            )
-            for s in np.unique(sections)
-        ]
+        body = []
+        for s in np.unique(sections):
+            sums = (count(int(what[sections == s].sum())) for what in (registered, by_rig, every))
+            body.append((section_name(run, int(s)), *sums))
         columns = (t("section"), t("registered"), said(BY_RIG), t("images"))
         out.append(Table(columns=columns, rows=tuple(body), numeric=(False, True, True, True), title=t("By section")))
     return out
@@ -283,10 +279,8 @@ def _coverage_warnings(run: RunFolder) -> Iterator[tuple[int, str]]:
     few = run.counts("sparse").get("on_few_points")
     if is_number(few) and few:
         rest = "on few points (named in the remarks of sparse): these images may be off by more than is stated."
-        yield (
-            2,
-            many(few, f"The place of {{}} frame rests {rest}", f"The places of {{}} frames rest {rest}", count(few)),
-        )
+        one, several = f"The place of {{}} frame rests {rest}", f"The places of {{}} frames rest {rest}"
+        yield 2, many(few, one, several, count(few))
     registered = run.model.images.registered
     several_passes = len(run.scene.sequences) > 1
     labels = np.array([" ".join(x).strip() if several_passes else x[1] for x in run.scene.image_label()])
@@ -355,9 +349,3 @@ def image_rows(run: RunFolder) -> list[ImageRow]:
         out.append(ImageRow(name, state, f"no depth map: {dense[name]}" if posed and name in dense else reason))
     order = (LEFT_OUT, ABSENT, BY_RIG, HANGING, REGISTERED)
     return sorted(out, key=lambda row: order.index(row.state))
-
-
-def counts(rows: list[ImageRow]) -> list[tuple[str, int]]:
-    """(state in words, images) of each state that occurs."""
-    found = [(said(state), sum(row.state == state for row in rows)) for state in STATES]
-    return [row for row in found if row[1]]

@@ -144,10 +144,8 @@ def _further(stations: Sequence[Station], pairs: Sequence[Pair], found: Sequence
     out = []
     for part in found:
         for i, j in combinations(sorted(part.members), 2):
-            if (i, j) in believed:
-                continue
             start = transforms.invert(part.poses[i]) @ part.poses[j]
-            pair = _by_poses(stations, i, j, start)
+            pair = None if (i, j) in believed else _by_poses(stations, i, j, start)
             if pair is None or pair.why_not:
                 continue
             if motion(pair.first_from_second @ transforms.invert(start), points[i]) <= close:

@@ -18,9 +18,7 @@ class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     coarse: CoarseTuning = Field(default_factory=CoarseTuning)
-    """Starts."""
     precision: PrecisionTuning = Field(default_factory=PrecisionTuning)
-    """Precision by distance."""
     all_pairs: int = Field(40, ge=2)
     """Clouds of which all pairs are tried; of more, those ..."""
     alike: int = Field(12, ge=1)

@@ -105,21 +105,13 @@ OTHERS = (
 """Families that hold all others."""
 
 
-@dataclass(frozen=True)
-class TargetMarks:
-    """The marks of named targets, and what is to be said."""
-
-    marks: tuple[TargetMark, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
 def marks_of(
     seen: Mapping[int, Sequence[Seen]],
     named: Mapping[str, Target],
     camera_of: Callable[[int], pycolmap.Camera | None],
     names: Sequence[str],
-) -> TargetMarks:
-    """Marks of the targets ``named`` in a file, of what was ``seen`` by scene index; ``names`` of the images.
+) -> tuple[tuple[TargetMark, ...], tuple[str, ...]]:
+    """Marks of the targets ``named`` in a file, of those ``seen`` by scene index, and notes; ``names`` of the images.
 
     A target at two places of one image was printed twice: it is not used at all.
     """
@@ -139,10 +131,8 @@ def marks_of(
         places = by_target.pop(target, {})
         twice = [k for k, found in places.items() if apart(found)]
         if twice:
-            more = f" and of {len(twice) - 1} more" if len(twice) > 1 else ""
-            notes.append(
-                f"target {name} is seen at two places of {names[twice[0]]}{more}: printed twice? It is not used"
-            )
+            images = names[twice[0]] + (f" and of {len(twice) - 1} more" if len(twice) > 1 else "")
+            notes.append(f"target {name} is seen at two places of {images}: printed twice? It is not used")
             continue
         if not places:
             notes.append(f"target {name} is seen in none of {len(seen)} images")
@@ -152,15 +142,14 @@ def marks_of(
         for k, found in places.items():
             best = min(found, key=lambda s: s.sigma_px)
             x, y = centre_of(best.corners, camera_of(k))
-            if np.isfinite([x, y, best.sigma_px]).all():
-                marks.append(
-                    TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=float(best.sigma_px / np.sqrt(2)))
-                )
+            sigma = float(best.sigma_px / np.sqrt(2))
+            if np.isfinite([x, y, sigma]).all():
+                marks.append(TargetMark(name=name, image=k, xy=(float(x), float(y)), sigma_px=sigma))
     # Those that the file does not name, seen in two images at least: one may be gravel
     others = [f"{t.name} ({len(places)} images)" for t, places in sorted(by_target.items()) if len(places) > 1]
     if others:
         notes.append(f"targets that are seen and not named in the file: {some(others)}")
-    return TargetMarks(tuple(marks), tuple(notes))
+    return tuple(marks), tuple(notes)
 
 
 def likely_family(seen: Sequence[Seen]) -> str:

@@ -35,9 +35,7 @@ class Tuning(Section):
     """Constants of the engine; there is no run folder, so they are not in `tiegraph.toml`."""
 
     arrivals: ArrivalsTuning = Field(default_factory=ArrivalsTuning)
-    """When a file is whole."""
     model: ModelTuning = Field(default_factory=ModelTuning)
-    """The coarse model."""
     neighbours: int = Field(2, gt=0)
     """Frames before and after, of the own camera and of those that look nearly the same way, that an image is matched
     with; photographs without order by their names."""

@@ -9,7 +9,7 @@ what the cloud states as sigma of its points is therefore not divided by their n
 volume.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -193,9 +193,8 @@ def normals(cores: np.ndarray, xyz: np.ndarray, radius: float) -> np.ndarray:
     return out
 
 
-def _batches(count: int) -> Iterator[slice]:
-    for start in range(0, count, _CORES):
-        yield slice(start, min(start + _CORES, count))
+def _batches(count: int) -> list[slice]:
+    return [slice(start, min(start + _CORES, count)) for start in range(0, count, _CORES)]
 
 
 def _pairs(centres: np.ndarray, tree: cKDTree, radius: float) -> tuple[np.ndarray, np.ndarray]:

@@ -140,19 +140,15 @@ class CloudComparison:
         shares = zip(self.criteria.distances_m, self.whole.accuracy, self.whole.completeness, self.whole.fscore)
         rows = [[d, 100 * a, 100 * c, 100 * f] for d, a, c, f in shares]
         out = {"cloud against reference": {"columns": columns, "rows": rows}}
-        for what, groups in (("section", self.sections), ("distance from camera", self.bands)):
-            if groups:
-                out[f"cloud against reference by {what}"] = self._by(what, groups)
-        return out
-
-    def _by(self, what: str, groups: dict[str, Shares]) -> dict:
         each = [f"F at {d:g} m %" for d in self.criteria.distances_m]
-        columns = [what, "points", "reference points", "median m", "90 % m", "ghosts %", *each]
-        rows = [
-            [name, s.points, s.reference_points, s.median_m, s.p90_m, 100 * s.ghosts, *(100 * f for f in s.fscore)]
-            for name, s in groups.items()
-        ]
-        return {"columns": columns, "rows": rows}
+        for what, groups in (("section", self.sections), ("distance from camera", self.bands)):
+            columns = [what, "points", "reference points", "median m", "90 % m", "ghosts %", *each]
+            rows = [
+                [name, s.points, s.reference_points, s.median_m, s.p90_m, 100 * s.ghosts, *(100 * f for f in s.fscore)]
+                for name, s in groups.items()
+            ]
+            out |= {f"cloud against reference by {what}": {"columns": columns, "rows": rows}} if rows else {}
+        return out
 
 
 def cloud_to_cloud(
@@ -185,13 +181,7 @@ def cloud_to_cloud(
     bands = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *_BANDS_M), _BANDS_M)] + [f"over {_BANDS_M[-1]:g} m"]
     names = ([], ()) if cameras is None else (bands, cameras.sections())
     by_band, by_section = (_grouped(cloud, reference, criteria, k, own) for k, own in enumerate(names))
-    return CloudComparison(
-        criteria=criteria,
-        whole=_shares(cloud, reference, criteria),
-        sections=by_section,
-        bands=by_band,
-        judged=path,
-    )
+    return CloudComparison(criteria, _shares(cloud, reference, criteria), by_section, by_band, judged=path)
 
 
 def _judged(

@@ -52,11 +52,9 @@ class Registration:
             ["points with a partner, %", 100 * self.used, None],
         ]
         if self.start is not None:
-            rows += [
-                ["coarse start: consistent matches", self.start.matches, None],
-                ["coarse start: points near the reference, %", 100 * self.start.share, None],
-                ["coarse start: the same in the next best place, %", 100 * self.start.rival, None],
-            ]
+            rows.append(["coarse start: consistent matches", self.start.matches, None])
+            rows.append(["coarse start: points near the reference, %", 100 * self.start.share, None])
+            rows.append(["coarse start: the same in the next best place, %", 100 * self.start.rival, None])
         return {"columns": ["of the registration", "value", "sigma"], "rows": rows}
 
 
@@ -106,9 +104,7 @@ def register(
     found = met(_REACHES[-1])
     covariance = np.zeros((7, 7))
     covariance[:unknowns, :unknowns] = found.covariance() * np.outer(unit, unit)
-    return Registration(
-        fit=fit, error=PlacementError(middle, covariance), residual_m=found.sigma, used=found.share, start=start
-    )
+    return Registration(fit, PlacementError(middle, covariance), found.sigma, used=found.share, start=start)
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,6 @@ def language(name: str) -> Iterator[None]:
         _CURRENT.reset(before)
 
 
-def current() -> str:
-    """The language that texts are in."""
-    return _CURRENT.get()
-
-
 @cache
 def table(name: str) -> Mapping[str, Mapping[str, str]]:
     """The translations {"page": {English: text}, "said": ...} of a language; empty for English."""
