@@ -12,7 +12,6 @@ from tiegraph.plan.path import Facet, Path
 from tiegraph.plan.request import WorldRequest
 from tiegraph.scene.colmapmodel import add_rig
 
-_SEED = 0
 # Observations of tie points of an image, for each megapixel that shows surface (PandaSet 1400, canal_demo 4000, KITTI
 # 4700, canal 6000), and of an image at most
 _TIES_A_MEGAPIXEL, _MOST_TIES = 4000.0, 4000
@@ -81,7 +80,7 @@ def make_network(path: Path, cameras: list[MountedCamera], world: WorldRequest, 
             f"the path has {len(path)} frames: the accuracy of more than {_MOST_FRAMES} is not propagated here; "
             "plan a part of it (a shorter --length: accuracy repeats), or take a larger --base"
         )
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(0)
     wobble = Rotation.from_rotvec(np.radians(_WOBBLE_DEG) * rng.standard_normal((len(path), 3))).as_matrix()
     path = replace(path, world_from_body=path.world_from_body @ transforms.rigid(wobble, np.zeros(3)))
     mounted = np.stack([c.sensor_from_body for c in cameras])

@@ -26,7 +26,6 @@ MAP, UNDERSIDE = "map", "underside"
 _SERIES = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)  # of sizes of pixels
 _FEWEST = 10  # points on a reference plane at least
 _FITTED = 5000  # points by which a curved one is found
-_ENDS = 0.005  # share of the points beyond each end of a surface, which may be strays
 _EDGE = 33  # places along an edge of a window of a curved surface
 
 
@@ -268,7 +267,7 @@ def undersides(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
     for k in sorted(set(passed[passed > 0]), key=lambda k: -count[k]):
         if count[k] < tuning.least_share * len(own):
             break
-        (left, lower, _), (right, upper, top) = np.quantile(own[part == k], [_ENDS, 1 - _ENDS], axis=0)
+        (left, right), (lower, upper), (_, top) = (_ends(values) for values in own[part == k].T)
         camera = float(np.median(cameras[passed == k, 2]))
         found.append(
             Surface(
@@ -358,7 +357,7 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
     """The least and the greatest of values as far as they follow each other: strays lie beyond a gap of a twentieth of
     the range of the middle 99 %."""
     ordered = np.sort(values)
-    low, high = np.quantile(ordered, [_ENDS, 1 - _ENDS])
+    low, high = np.quantile(ordered, [0.005, 0.995])
     gap = np.diff(ordered) > (high - low) / 20
     before, behind = np.flatnonzero(gap & (ordered[1:] <= low)), np.flatnonzero(gap & (ordered[:-1] >= high))
     return ordered[before[-1] + 1 if len(before) else 0], ordered[behind[0] if len(behind) else -1]

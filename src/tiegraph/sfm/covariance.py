@@ -42,8 +42,6 @@ from tiegraph.sfm.systematic import (
 )
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
-_SEED = 0
-
 
 @dataclass(frozen=True)
 class Mounting:
@@ -195,7 +193,7 @@ def _sigma(
     layout, weighed, (first, second) = seen.layout, seen.weighed, seen.weights
     normal, unknowns = weighed.normal, 6 * len(layout.frame_ids)
     frames = evenly(len(layout.frame_ids), tuning.frames)
-    points = np.sort(np.random.default_rng(_SEED).permutation(weighed.jp.shape[1] // 3)[: tuning.points])
+    points = np.sort(np.random.default_rng(0).permutation(weighed.jp.shape[1] // 3)[: tuning.points])
     # First positions and rotations of the frames, then all unknowns that follow the frames, then points
     places = 6 * frames[:, None] + np.arange(3)
     asked = np.concatenate([places.ravel(), places.ravel() + 3, np.arange(unknowns, layout.size)])

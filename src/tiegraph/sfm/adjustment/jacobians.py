@@ -16,8 +16,6 @@ from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.motion import Motion
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
-_SEED = 0
-
 
 class Layout:
     """Columns of the unknowns: six for each frame (shift of its centre, rotation), six for each sensor, then the
@@ -108,7 +106,7 @@ def sampled(points: Iterable[int], most: int) -> tuple[list[int], float]:
     ids = np.array(sorted(points))
     share = min(1.0, most / max(len(ids), 1))
     if share < 1:
-        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
+        ids = np.sort(np.random.default_rng(0).choice(ids, most, replace=False))
     return ids.tolist(), share
 
 

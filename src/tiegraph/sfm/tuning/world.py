@@ -96,11 +96,9 @@ class FitTuning(Section):
 
     cauchy_scales: tuple[float, ...] = (4.0, 1.0)
     """Factors on the scale of the loss, in order."""
-    orientation_sigma_deg: float = Field(3.0, gt=0)
-    """Orientations of a trajectory are not independent from frame to frame: together they have the weight of
-    `orientation_freedom` independent ones with this sigma."""
-    orientation_freedom: int = Field(4, gt=0)
-    """See `orientation_sigma_deg`."""
+    common_deg: float = Field(1.5, gt=0)
+    """Error common to the orientations of a path, which does not average out: together they have this sigma, a single
+    one twice as much."""
     antenna_sigma_m: float = Field(1.0, gt=0)
     """Weak prior of an unknown lever arm: boats and cars have the antenna not much farther away."""
     offset_sigma_s: float = Field(1.0, gt=0)
@@ -118,8 +116,6 @@ class SourceTuning(Section):
     """Largest sigma of a scale that is stated."""
     any_scale: float = Field(1.0, gt=0)
     """Sigma of a scale beyond which a source is not used for it."""
-    common_deg: float = Field(1.5, ge=0)
-    """Error common to the orientations of a path, which does not average out."""
 
 
 class SimilarityFitTuning(Section):

@@ -214,8 +214,7 @@ class _Problem:
         self.middle = evidence.pose[:, :3, 3].mean(axis=0)
         self.axis = _track(evidence, start)[0]
         self.oriented = np.flatnonzero(evidence.oriented)
-        spread = np.sqrt(max(1.0, len(self.oriented) / tuning.orientation_freedom))
-        self.orientation_sigma = np.radians(tuning.orientation_sigma_deg) * spread
+        self.orientation_sigma = np.radians(tuning.common_deg) * np.sqrt(max(4, len(self.oriented)))
         self.arm, self.clock = ANTENNA in evidence.free, CLOCK in evidence.free
         self.size = 7 + 3 * self.arm + self.clock
 

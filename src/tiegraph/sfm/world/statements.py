@@ -106,7 +106,7 @@ def statements(found: Georeference, placing: SimilarityFit) -> list[Statement]:
     for k, scale in enumerate(measured.lengths):
         out += length_statement(scale, result, k == 0 and placing.evidence.log_scale is not None)
     out += up_statements(measured.up, result, placing.up is not None)
-    out += orientation_statements(placing.evidence, result, placing.tuning.sources)
+    out += orientation_statements(placing.evidence, result, placing.tuning.fit)
     offset, sigma = placing.fit.offset_s, placing.fit.offset_sigma_s
     if np.isfinite(sigma):
         used = bool(found.clock_offset_s)

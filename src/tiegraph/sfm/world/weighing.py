@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry.gravity import Up
 from tiegraph.geometry.transforms import PlacementError, Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, Statement, Trend, trend
-from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
+from tiegraph.sfm.tuning.world import FitTuning, SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import ANTENNA, Evidence, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measured
 from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
@@ -98,7 +98,7 @@ def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Stateme
     ]
 
 
-def orientation_statements(evidence: Evidence, result: Similarity, tuning: SourceTuning) -> list[Statement]:
+def orientation_statements(evidence: Evidence, result: Similarity, tuning: FitTuning) -> list[Statement]:
     """The statements of given orientations on heading and tilt, relative to the result."""
     known = evidence.oriented
     if not known.any():
