@@ -182,20 +182,22 @@ class Tally:
 
 class Seen(NamedTuple):
     """What a depth map says of the pixels (H, W) of another one: which lie in its image (``possible``), which it
-    confirms (``agrees``) and sees through (``through``), the depth it says of those it confirms (``said``), and its
-    sigma as a share."""
+    confirms (``agrees``) and sees through (``through``), to another surface for sure (``beyond``), the depth it says of
+    those it confirms (``said``), and its sigma as a share."""
 
     possible: np.ndarray
     agrees: np.ndarray
     through: np.ndarray
+    beyond: np.ndarray
     said: np.ndarray
     relative_sigma: np.ndarray
 
 
 def gone(depth: DepthMap, others: Sequence[str], load: LoadDepth, tolerance_px: float, tuning: RayTuning) -> np.ndarray:
-    """(H, W) bool: the pixels of a finished depth map that were there in its own pass only, such as a parked car: two
-    finished maps of images of other passes (``others``) see through them at least, and more than confirm them. Those of
-    its own pass all confirm them."""
+    """(H, W) bool: the pixels of a finished depth map that were there in its own pass only, such as a parked car, which
+    all images of that pass confirm: at least two finished maps of images of other passes (``others``) see another
+    surface beyond them, and more than confirm them. A small step between both may be of passes that do not lie on each
+    other, and is left to the comparison of passes."""
     through, agree = np.zeros((2, *depth.depth_m.shape), np.int16)
     for name in others:
         if (other := load(name)) is None:
@@ -204,7 +206,7 @@ def gone(depth: DepthMap, others: Sequence[str], load: LoadDepth, tolerance_px: 
         for rows in row_strips(depth.depth_m.shape, 1 << 16):
             part = replace(depth, depth_m=depth.depth_m[rows], sigma_m=depth.sigma_m[rows])
             seen = surface.seen(part, rows.start, tolerance_px, tuning)
-            through[rows] += seen.through
+            through[rows] += seen.beyond
             agree[rows] += seen.agrees
     return (through >= 2) & (through > agree)
 
@@ -240,8 +242,14 @@ class Surface:
         agrees = np.abs(relative) <= tolerance
         # Our ray meets their surface, taken as parallel to their image, a little further on; oblique ones are held back
         said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], 0.3)
-        through = relative > 1.5 * tolerance
-        return Seen(possible=possible, agrees=agrees, through=through, said=said, relative_sigma=relative_sigma)
+        return Seen(
+            possible=possible,
+            agrees=agrees,
+            through=relative > 1.5 * tolerance,
+            beyond=relative > 1.5 * tuning.max_relative,
+            said=said,
+            relative_sigma=relative_sigma,
+        )
 
     def at(self, column: np.ndarray, row: np.ndarray, max_relative: float) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and
