@@ -88,7 +88,7 @@ def open_map(folder: Path) -> MapFiles:
     with reading(path), rasterio.open(path) as raster:
         shape, to_crs = raster.shape, raster.transform
     corner, shift = np.array([to_crs.c, to_crs.f]), shift_of(origin)
-    return MapFiles(folder, origin, world_unit(folder), float(to_crs.a), shape, corner=corner, shift=shift)
+    return MapFiles(folder, origin, world_unit(folder), pixel=float(to_crs.a), shape=shape, corner=corner, shift=shift)
 
 
 def line_of(given: Sequence[str], map_: MapFiles) -> np.ndarray:

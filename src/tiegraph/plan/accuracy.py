@@ -115,7 +115,7 @@ def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expect
     world, placed = _world(shape, centres, xyz, known)
     alone = np.linalg.norm(shape.point_sigma, axis=1)
     point_world = np.sqrt(np.sum(shape.point_sigma**2, axis=1) + np.clip(placed, 0, None))
-    return Expected(shape.frames, shape.sigma(), world, near, point_shape=alone, point_world=point_world)
+    return Expected(shape.frames, shape.sigma(), world, near=near, point_shape=alone, point_world=point_world)
 
 
 def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
