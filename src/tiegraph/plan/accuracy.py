@@ -147,13 +147,7 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     return np.sqrt(positions), placed
 
 
-def known_of(
-    path: Path,
-    cameras: list[MountedCamera],
-    network: Network,
-    shape: Shape,
-    world: WorldRequest,
-) -> Known:
+def known_of(path: Path, cameras: list[MountedCamera], network: Network, shape: Shape, world: WorldRequest) -> Known:
     """The fixes of a path, by the frames that the shape is known of."""
     positions = world.positions()
     fixes: list[Fix] = []
@@ -248,11 +242,7 @@ class PathPlan:
 
 
 def plan_path(
-    path: Path,
-    cameras: list[MountedCamera],
-    by: Propagate,
-    world: WorldRequest,
-    relief_m: float,
+    path: Path, cameras: list[MountedCamera], by: Propagate, world: WorldRequest, relief_m: float
 ) -> PathPlan:
     """What a path is expected to give; ``relief_m``: sigma of the unevenness of the surface."""
     network = make_network(path, cameras, world, relief_m)

@@ -46,10 +46,7 @@ class Criteria:
 
 
 def criteria_of(
-    clouds: TiledClouds,
-    distances_m: Sequence[float] = (),
-    gsd_m: float | None = None,
-    range_m: float | None = None,
+    clouds: TiledClouds, distances_m: Sequence[float] = (), gsd_m: float | None = None, range_m: float | None = None
 ) -> Criteria:
     """The distances given, or those of the series 1, 2, 5 from the ground sampling distance (else the cloud's spacing)
     on; the rest follows from them. Cloud 1 is the reference."""
