@@ -291,8 +291,7 @@ def _other_surface(
 def said(found: dict[str, Any]) -> str:
     """The measurements of a polygon, in a sentence."""
     unit = found["unit"]
-    volumes_of = {name: found[name] for name in ("cut", "fill", "net")}
-    each = ", ".join(f"{name} {v['value']:.2f} ± {v['sigma']:.2f} {unit}3" for name, v in volumes_of.items())
+    each = ", ".join(f"{n} {found[n]['value']:.2f} ± {found[n]['sigma']:.2f} {unit}3" for n in ("cut", "fill", "net"))
     why = found["net"]["parts"]
     largest = max(why, key=lambda k: why[k])
     text = f"{each} on {found['area']:.2f} {unit}2; base: {found['base']}; most of the sigma is of: {largest}"
