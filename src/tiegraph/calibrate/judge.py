@@ -193,7 +193,9 @@ def judge(done: Adjusted) -> Verdict:
         corners = sum(len(inside[k]) for k in own)
         rms_px, held_px = (_rms([off[k] for k in own]) for off in (inside, held_out))
         covered = float((seen_cells(done.seen, number, (across, down)) > 0).mean())
-        cameras.append(CameraVerdict(len(own), corners, rms_px, held_px, coverage=covered, tilt_deg=tilts[number]))
+        cameras.append(
+            CameraVerdict(len(own), corners, rms_px, held_out_px=held_px, coverage=covered, tilt_deg=tilts[number])
+        )
     return Verdict(tuple(cameras), exact, tuple(_advice(done, cameras, exact)))
 
 

@@ -224,11 +224,7 @@ def _alignment(settings: EvaluateSettings, trajectory: TrajectoryError | None) -
 
 
 def against_poses(
-    match: PoseMatch,
-    figures: Sequence[Figure],
-    metric: bool,
-    step_s: float = float("nan"),
-    registered: float = 1.0,
+    match: PoseMatch, figures: Sequence[Figure], metric: bool, step_s: float = float("nan"), registered: float = 1.0
 ) -> list[str]:
     """Sentences about reference poses (K) that the model contradicts by ``figures`` (``accuracy.pose_figures``).
 

@@ -70,7 +70,7 @@ def odometry(scans: Iterator[Scan], near_m: float, far_m: float) -> Iterator[Thi
         close = np.flatnonzero(reach[seen] <= 60.0)  # points further away are sparse, and their spots wide
         kept = close[first_of_voxels(xyz[close], 0.1)] if len(close) else close
         before_s = None if before is None else before[kept].astype(np.float32)
-        yield ThinScan(time_s, pose, xyz[kept].astype(np.float32), before_s)
+        yield ThinScan(time_s, pose, xyz[kept].astype(np.float32), before_s=before_s)
 
 
 def _engine(far_m: float) -> Any:

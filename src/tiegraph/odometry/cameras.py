@@ -198,11 +198,7 @@ def corners(image: np.ndarray, mask: np.ndarray | None, taken: np.ndarray) -> np
 
 
 def in_partners(
-    cameras: Cameras,
-    partners: Mapping[int, tuple[int, ...]],
-    images: Images,
-    tracks: Tracks,
-    in_rig: np.ndarray,
+    cameras: Cameras, partners: Mapping[int, tuple[int, ...]], images: Images, tracks: Tracks, in_rig: np.ndarray
 ) -> Tracks:
     """The corners as the other cameras of the rig see them at the same instant; in_rig (K, 3): about where they are."""
     out = Tracks.none()

@@ -146,12 +146,12 @@ def _side(
             np.full(len(scene), np.nan),
             np.full((len(scene), 3), np.nan),
         )
-        return Side(name, none, nowhere, nothing, stages, known)
+        return Side(name, none, nowhere, sigma=nothing, stages=stages, counts=known)
     found = [registration(model, scene, tuning.scene.registered).registered for model in models]
     best = int(np.argmax([f.sum() for f in found]))
     model, known["points"] = models[best], models[best].num_points3D()
     centres = model_poses(model, scene).world_from_camera[:, :3, 3]
-    return Side(name, found[best], centres, _sigma(model, block), stages, known)
+    return Side(name, found[best], centres, sigma=_sigma(model, block), stages=stages, counts=known)
 
 
 def _sigma(model: pycolmap.Reconstruction, block: Block) -> np.ndarray:

@@ -266,7 +266,7 @@ def _with_pictures(run: Run, survey: Survey, exporter: Exporter, target: Path) -
         stem, camera = str(PurePosixPath(name).with_suffix("")), camera_of[source]
         mask = exporter.mask.format(name=name, stem=stem) if has_masks else ""
         depth = f"{_DEPTHS}/{stem}" if has_depth else ""
-        pictures.append(_Picture(source, name, own[camera], pinholes.get(camera), mask=mask, depth=depth))
+        pictures.append(_Picture(source, name, own[camera], pinhole=pinholes.get(camera), mask=mask, depth=depth))
     with run.reporter.stage("export"):
         run.reporter.total(len(pictures))
         depths = run.map(_write_picture, pictures, run.folder, target, survey.unit)

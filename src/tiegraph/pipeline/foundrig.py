@@ -40,21 +40,27 @@ from tiegraph.text import command
 TOML, CONFIG = "rig", "rig_config"
 
 
+@dataclass(frozen=True)
+class Metres:
+    """Metres in a unit of ``sparse/0`` (NaN = unknown), the sigma of that (a share), and its source."""
+
+    scale: float = np.nan
+    sigma: float = np.nan
+    source: str = "none"
+
+
 @dataclass
 class FoundRun:
-    """The parts of a run folder from which the rigs are read: metres in a unit of ``sparse/0`` (NaN = unknown), with
-    their sigma (a share) and source. ``said`` and ``unscaled`` are added to."""
+    """The parts of a run folder from which the rigs are read; ``said`` and ``unscaled`` are added to."""
 
     folder: Path
     scene: Scene
     receipt: dict[str, Any]  # of sparse
     mapped: pycolmap.Reconstruction  # as written by sparse
     world: pycolmap.Reconstruction  # as written by georef; the same without
+    metres: Metres
+    antenna_m: tuple[float, float, float] | None
     tuning: Tunings
-    scale: float = np.nan
-    scale_sigma: float = np.nan
-    scale_source: str = "none"
-    antenna_m: tuple[float, float, float] | None = None
     said: list[str] = field(default_factory=list)
     unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in model units
 
@@ -87,14 +93,24 @@ def found_run(folder: Path) -> FoundRun:
             "file of that run, or calibrate them in a run with --scan.fisheye whole"
         )
     mapped = load_model(first)
-    run = FoundRun(folder, scene, receipt, mapped=mapped, world=mapped, tuning=_constants(folder, receipts))
+    run = FoundRun(
+        folder=folder,
+        scene=scene,
+        receipt=receipt,
+        mapped=mapped,
+        world=mapped,
+        metres=Metres(),
+        antenna_m=None,
+        tuning=_constants(folder, receipts),
+    )
     current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
     if not current or not (world / "cameras.bin").exists():
         return run
     told = load_json(folder / "world.json")
-    run.world, run.scale_source, arm = load_model(world), told["scale_source"], told.get("antenna_m")
-    run.scale = np.nan if run.scale_source == "none" else float(told["scale"])
-    run.scale_sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
+    scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
+    sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
+    arm = told.get("antenna_m")
+    run.world, run.metres = load_model(world), Metres(scale, sigma, told["scale_source"])
     run.antenna_m = None if arm is None else tuple(arm)
     return run
 
@@ -290,9 +306,10 @@ def _say_times(run: FoundRun, given: Rig) -> None:
 
 
 def _say_scale(run: FoundRun, rig: Rig) -> None:
-    if np.isfinite(run.scale):
-        known = f", known to {100 * run.scale_sigma:.2g} %" if run.scale_sigma > 0 else ""
-        run.said.append(f"{rig.name}: lengths are in metres by {run.scale_source}{known}")
+    metres = run.metres
+    if np.isfinite(metres.scale):
+        known = f", known to {100 * metres.sigma:.2g} %" if metres.sigma > 0 else ""
+        run.said.append(f"{rig.name}: lengths are in metres by {metres.source}{known}")
     elif any(s.sensor_from_rig is not None and s.sensor_from_rig[:3, 3].any() for s in rig.sensors):
         run.unscaled.append(rig.name)
         run.said.append(f"{rig.name}: lengths are in model units, because the scale is unknown")
@@ -312,12 +329,12 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
         run.said.append(f"{found.name}: the run has no sigmas of the poses of {', '.join(untold)}")
         return found
     sensors, kept = [found.sensors[0]], []
-    scale = float(np.nan_to_num(run.scale, nan=1.0))
+    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
     for place, sensor in enumerate(found.sensors[1:], start=1):
         before = given.sensors[place]
         *xyz, sigma, turn = table[sensor.name][:5]
         # Of a coordinate, with the sigma of the scale of all lengths
-        by_scale = scale * float(np.linalg.norm(xyz)) * float(np.nan_to_num(run.scale_sigma)) / np.sqrt(3)
+        by_scale = scale * float(np.linalg.norm(xyz)) * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)
         metres = float(np.hypot(scale * sigma / np.sqrt(3), by_scale))
         sigma_deg, sigma_m = min(turn / np.sqrt(3), SIGMA_DEG[1]), min(metres, SIGMA_M[1])  # of an axis, a coordinate
         looks = [s.sensor_from_rig[:3, :3] for s in (sensor, before) if s.sensor_from_rig is not None]

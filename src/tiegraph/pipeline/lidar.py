@@ -256,7 +256,7 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye, tun
     estimate = rig.poses.copy()
     estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
     estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
-    match = PoseMatch(estimate, by_lidar, rig.group, np.arange(len(frame)), parts=frame_parts(run.scene, frame))
+    match = PoseMatch(estimate, by_lidar, rig.group, order=np.arange(len(frame)), parts=frame_parts(run.scene, frame))
     error = evaluate_trajectory(match, _RPE_M, tunings.evaluate.trajectory)
     judged = _Judged(run, world, reference, match, run.scene.section[frame], tunings.evaluate)
     seconds = {f"{row} [s]": value for row, value in run.seconds.items()}

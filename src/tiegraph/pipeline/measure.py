@@ -88,7 +88,7 @@ def open_map(folder: Path) -> MapFiles:
     with reading(path), rasterio.open(path) as raster:
         shape, to_crs = raster.shape, raster.transform
     corner, shift = np.array([to_crs.c, to_crs.f]), shift_of(origin)
-    return MapFiles(folder, origin, world_unit(folder), float(to_crs.a), shape, corner=corner, shift=shift)
+    return MapFiles(folder, origin, world_unit(folder), pixel=float(to_crs.a), shape=shape, corner=corner, shift=shift)
 
 
 def line_of(given: Sequence[str], map_: MapFiles) -> np.ndarray:
@@ -291,8 +291,7 @@ def _other_surface(
 def said(found: dict[str, Any]) -> str:
     """The measurements of a polygon, in a sentence."""
     unit = found["unit"]
-    volumes_of = {name: found[name] for name in ("cut", "fill", "net")}
-    each = ", ".join(f"{name} {v['value']:.2f} ± {v['sigma']:.2f} {unit}3" for name, v in volumes_of.items())
+    each = ", ".join(f"{n} {found[n]['value']:.2f} ± {found[n]['sigma']:.2f} {unit}3" for n in ("cut", "fill", "net"))
     why = found["net"]["parts"]
     largest = max(why, key=lambda k: why[k])
     text = f"{each} on {found['area']:.2f} {unit}2; base: {found['base']}; most of the sigma is of: {largest}"

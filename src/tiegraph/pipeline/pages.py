@@ -180,10 +180,7 @@ class WatchHandler(Handler):
     """The page of a watched folder; about it: the content of ``state.json``."""
 
     def _answers(self) -> dict[str, Callable[[dict[str, str]], None]]:
-        return {
-            "": lambda _: self._send(page(None), HTML),
-            "state.json": lambda _: self._json(self.server.about),
-        }
+        return {"": lambda _: self._send(page(None), HTML), "state.json": lambda _: self._json(self.server.about)}
 
 
 class MarkHandler(Handler):

@@ -172,7 +172,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...], dict[str, FoundCamera]
     others = []
     for video, of_first in ((videos[k], p) for g, p in zip(groups, taken) for k in g[1:]):
         stamps_s = tuple(s - video.offset_s for s in of_first.stamps_s)
-        others.append(_Job(video, folder / video.folder, of_first.numbers, stamps_s))
+        others.append(_Job(video, folder / video.folder, of_first.numbers, stamps_s=stamps_s))
     beside = run.map(_take, others, settings.video_fps)
     notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
     if not has_images(folder) or len(find_images(folder)) < 2:

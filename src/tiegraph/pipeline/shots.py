@@ -290,7 +290,7 @@ def _read(files: Sequence[Path]) -> tuple[list[Shot], Origin | None, float]:
         some = slice(None, None, -(-len(cloud) // 400_000))
         normal, sigma = cloud.normal[some].astype(float), cloud.sigma_m[some].astype(float)
         oriented = normal if np.isfinite(normal).all(axis=1).mean() > 0.5 else None
-        shots.append(Shot(file.stem, cloud.xyz_m[some], oriented, sigma, known=known, own_frame=known is None))
+        shots.append(Shot(file.stem, cloud.xyz_m[some], oriented, sigma_m=sigma, known=known, own_frame=known is None))
     return shots, origin, float(f"{max(np.median(spacings), 1e-9):.2g}")
 
 

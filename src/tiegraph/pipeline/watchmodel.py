@@ -57,8 +57,8 @@ def neighbours(scene: Scene, steps: int, settings: Settings) -> np.ndarray:
     """(P, 2) pairs i < j by order: in passes of the own and neighbouring cameras, of loose photographs by name."""
     asked = settings.candidates.model_copy(update={"sequence_frames": steps, "sequence_cameras": True})
     nothing = MatchCache(lambda pairs: [], len(scene))
-    context = Context(scene, find_passes(scene), nothing, asked, settings.tuning.network, descriptors=list)
-    pairs = sequence(context).pairs
+    passes, tuning = find_passes(scene), settings.tuning.network
+    pairs = sequence(Context(scene, passes, nothing, settings=asked, tuning=tuning, descriptors=list)).pairs
     loose = loose_images(scene)
     by_name = [np.column_stack([loose[:-step], loose[step:]]) for step in range(1, steps + 1)]
     return np.concatenate([np.column_stack([pairs.i, pairs.j]), *by_name]).astype(int)

@@ -114,7 +114,7 @@ def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expect
     world, placed = _world(shape, centres, xyz, known)
     alone = np.linalg.norm(shape.point_sigma, axis=1)
     point_world = np.sqrt(np.sum(shape.point_sigma**2, axis=1) + np.clip(placed, 0, None))
-    return Expected(shape.frames, shape.sigma(), world, near, point_shape=alone, point_world=point_world)
+    return Expected(shape.frames, shape.sigma(), world, near=near, point_shape=alone, point_world=point_world)
 
 
 def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
@@ -146,13 +146,7 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     return np.sqrt(positions), placed
 
 
-def known_of(
-    path: Path,
-    cameras: list[MountedCamera],
-    network: Network,
-    shape: Shape,
-    world: WorldRequest,
-) -> Known:
+def known_of(path: Path, cameras: list[MountedCamera], network: Network, shape: Shape, world: WorldRequest) -> Known:
     """The fixes of a path, by the frames that the shape is known of."""
     positions = world.positions()
     fixes: list[Fix] = []
@@ -247,11 +241,7 @@ class PathPlan:
 
 
 def plan_path(
-    path: Path,
-    cameras: list[MountedCamera],
-    by: Propagate,
-    world: WorldRequest,
-    relief_m: float,
+    path: Path, cameras: list[MountedCamera], by: Propagate, world: WorldRequest, relief_m: float
 ) -> PathPlan:
     """What a path is expected to give; ``relief_m``: sigma of the unevenness of the surface."""
     network = make_network(path, cameras, world, relief_m)

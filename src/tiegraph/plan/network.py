@@ -123,11 +123,7 @@ def model_figures(model: pycolmap.Reconstruction) -> dict[str, float]:
 
 
 def _sights(
-    path: Path,
-    cameras: list[MountedCamera],
-    poses: np.ndarray,
-    relief_m: float,
-    rng: np.random.Generator,
+    path: Path, cameras: list[MountedCamera], poses: np.ndarray, relief_m: float, rng: np.random.Generator
 ) -> _Sights:
     """Points that start from images, and which images see them; ``relief_m``: sigma of the surface's unevenness."""
     start, centres = int(max(_LEAST_POINTS, _MOST_POINTS // len(poses))), transforms.centre(poses)

@@ -125,8 +125,15 @@ def station_of(shot: Shot, side: float, tuning: Tuning) -> Station:
     if shot.known is not None:
         known = shot.known.copy()
         known[:3, 3] += shot.known[:3, :3] @ middle
-    eye = -middle if shot.own_frame else None
-    return Station(shot.name, middle, shape, levels, _sample(shot, middle), known=known, eye=eye)
+    return Station(
+        name=shot.name,
+        middle=middle,
+        shape=shape,
+        levels=levels,
+        sample=_sample(shot, middle),
+        known=known,
+        eye=-middle if shot.own_frame else None,
+    )
 
 
 def _sample(shot: Shot, middle: np.ndarray) -> Sample:
@@ -313,11 +320,20 @@ def from_start(first: int, second: int, stations: Sequence[Station], start: np.n
             why = f"the surfaces differ by {found.sigma_m:.2g} m where they are rough to {rough:.2g} m"
         if why:
             break
+    pair = Pair(
+        first=first,
+        second=second,
+        first_from_second=fit,
+        overlap=found.overlap,
+        residual_m=found.sigma_m,
+        middle=np.zeros(3),
+        information=np.eye(6),
+        why_not=why,
+    )
     if why:
-        return Pair(first, second, fit, found.overlap, found.sigma_m, np.zeros(3), np.eye(6), why_not=why)
+        return pair
     middle, information, _ = held(target, source, fit, found)
-    through = looked_through(a, b, fit)
-    pair = Pair(first, second, fit, found.overlap, found.sigma_m, middle, information, through=through)
+    pair = replace(pair, middle=middle, information=information, through=looked_through(a, b, fit))
     _, _, open_share = held(a.coarse, b.coarse, fit, met(a.coarse, b.coarse, fit))
     # A plane, sphere, cylinder or edge has 0.00007 to 0.0004, a relief of 10 mm on 0.4 m 0.0024, an object 0.007.
     if open_share < 0.001:

@@ -46,10 +46,7 @@ class Criteria:
 
 
 def criteria_of(
-    clouds: TiledClouds,
-    distances_m: Sequence[float] = (),
-    gsd_m: float | None = None,
-    range_m: float | None = None,
+    clouds: TiledClouds, distances_m: Sequence[float] = (), gsd_m: float | None = None, range_m: float | None = None
 ) -> Criteria:
     """The distances given, or those of the series 1, 2, 5 from the ground sampling distance (else the cloud's spacing)
     on; the rest follows from them. Cloud 1 is the reference."""
@@ -181,7 +178,7 @@ def cloud_to_cloud(
     bands = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *_BANDS_M), _BANDS_M)] + [f"over {_BANDS_M[-1]:g} m"]
     names = ([], ()) if cameras is None else (bands, cameras.sections())
     by_band, by_section = (_grouped(cloud, reference, criteria, k, own) for k, own in enumerate(names))
-    return CloudComparison(criteria, _shares(cloud, reference, criteria), by_section, by_band, judged=path)
+    return CloudComparison(criteria, _shares(cloud, reference, criteria), by_section, bands=by_band, judged=path)
 
 
 def _judged(
