@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
-from scipy.optimize import least_squares
+import scipy
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import SettingsError
@@ -205,7 +205,7 @@ def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning)
         turned = Rotation.from_rotvec(roll * axis).as_matrix()
         near = Similarity(start.scale, turned @ start.rotation, turned @ (start.translation - middle) + middle)
         turn = l1_mean_rotation(mounted(np.zeros(13), near)[0])
-        fit = least_squares(residuals, np.zeros(13), loss="cauchy", f_scale=noise, args=(near, turn))
+        fit = scipy.optimize.least_squares(residuals, np.zeros(13), loss="cauchy", f_scale=noise, args=(near, turn))
         if best is None or fit.cost < best[0].cost:
             best = fit, near, turn
     fit, near, turn = best  # type: ignore[misc]
