@@ -62,7 +62,9 @@ def test_what_hangs_over_cameras_has_its_clearance_above_the_water():
     """The world as a ceiling 20 m high whose box hangs down to 18 m; the water at 3 m. Nothing comes of what is beside
     the cameras."""
     ceiling = Scene(transforms.rigid(np.diag([1.0, -1.0, -1.0]), [5.0, 7.0, 20.0]), "underside1")
-    seen = survey(ceiling, water=3.0)
+    points = ceiling.cloud(0.04)
+    stray = replace(points.where(np.arange(1)), xyz_m=np.array([[1e7, -1e7, 30.0]]))
+    seen = survey(ceiling, water=3.0, sample=Cloud.concatenate([points, stray]))
     (found,), notes = choose(seen, ProductsSettings(pixel_m=PIXEL), TUNING)
     assert found.name == "underside1" and found.level and found.axes[2] == "up from the water"
     assert "underside1: 9" in " ".join(notes) and found.offset.tolist() == [500.0, 4000.0, -3.0]

@@ -27,7 +27,7 @@ from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time,
 from tiegraph.sfm.registrationreport import rig_doubts
 from tiegraph.sfm.rig.confront import TIMES, PriorTest, open_times, prior_test, times_open
 from tiegraph.sfm.rig.diagnostics import RigDiagnostics, camera_matches, rig_diagnostics, statements, torn_off
-from tiegraph.sfm.rig.rig import derive_rig
+from tiegraph.sfm.rig.rig import derive_rig, hand_eye
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, Held, _let_go_of_loose, checked_rig
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.placement import AgreementTuning
@@ -251,6 +251,8 @@ def test_a_camera_that_shares_no_points_is_mounted_by_its_motion(tmp_path) -> No
     mixed = dict(zip(own, list(own.values())[::-1], strict=True))
     rig, said = derive_rig(without_extrinsics(scene), 0, [others, _with_images(truth, mixed)], DeriveTuning())
     assert rig is not None and rig.sensors[2].sensor_from_rig is None and "left out: cam" in said
+    still = np.repeat(poses[last[0]][None], 16, axis=0)
+    assert hand_eye(still, still, 0.1, DeriveTuning()) is None
 
 
 def _poses(model: pycolmap.Reconstruction) -> dict[int, pycolmap.Rigid3d]:

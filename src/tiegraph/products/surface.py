@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import ndimage
+from scipy import sparse
+from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from tiegraph.errors import ReconstructionError
@@ -256,15 +257,16 @@ def undersides(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
     if hangs.sum() < _FEWEST:
         return []
     own, size = xyz[hangs], np.median(high[hangs])
-    low = np.minimum(own.min(axis=0), cameras.min(axis=0))[:2]
-    cell, under = (((places[:, :2] - low) / size).astype(int) for places in (own, cameras))
-    grid = np.zeros(np.maximum(cell.max(axis=0), under.max(axis=0)) + 1, bool)
-    grid[tuple(cell.T)] = True
-    parts, _ = ndimage.label(grid, np.ones((3, 3)))
-    part, passed = parts[tuple(cell.T)], parts[tuple(under.T)]
+    cells, of = np.unique(np.floor(own[:, :2] / size), axis=0, return_inverse=True)
+    tree = cKDTree(cells)
+    ties = tree.query_pairs(1, p=np.inf, output_type="ndarray")
+    graph = sparse.coo_matrix((np.ones(len(ties)), ties.T), (len(cells), len(cells)))
+    parts = np.append(csgraph.connected_components(graph, directed=False)[1], -1)  # -1: of places without a cell
+    below = tree.query(np.floor(cameras[:, :2] / size), distance_upper_bound=0.5)[1]
+    part, passed = parts[of.ravel()], parts[below]
     count = np.bincount(part)
     found = []
-    for k in sorted(set(passed[passed > 0]), key=lambda k: -count[k]):
+    for k in sorted(set(passed[passed >= 0]), key=lambda k: -count[k]):
         if count[k] < tuning.least_share * len(own):
             break
         (left, right), (lower, upper), (_, top) = (_ends(values) for values in own[part == k].T)

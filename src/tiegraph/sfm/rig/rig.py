@@ -16,6 +16,7 @@ from tiegraph.scene.colmapmodel import image_poses, rigid3d, sensor_id
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.model import distances
 from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning, SupportTuning
@@ -163,6 +164,7 @@ def _motions(
     known = [k for k in of_rig if int(scene.sensor[k]) in found and np.isfinite(poses[k]).all()]
     placed = {int(scene.frame[k]): transforms.invert(found[int(scene.sensor[k])]) @ poses[k] for k in known}
     both = sorted(there.keys() & placed.keys())
+    both = [both[k] for k in evenly(len(both), 300)]  # frames tell it as well as thousands do
     rows = [placed[f] for f in both], [own[there[f]] for f in both]
     return tuple(np.array(r).reshape(-1, 4, 4) for r in rows)  # type: ignore[return-value]
 
@@ -178,7 +180,9 @@ def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning)
     ``arm``, how far the other sensors are from each other.
     """
     reach = rms_length(transforms.centre(rig) - transforms.centre(rig).mean(axis=0))
-    noise = 0.02 * reach
+    if not reach > 0:
+        return None
+    noise, arm = 0.02 * reach, max(arm, 1e-3 * reach)
     start, near = robust_umeyama(transforms.centre(own), transforms.centre(rig), noise)
     rig, own = rig[near], own[near]
     if len(rig) < 2 * tuning.min_frames:
