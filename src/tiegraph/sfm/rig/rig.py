@@ -180,7 +180,7 @@ def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning)
     ``arm``, how far the other sensors are from each other.
     """
     reach = rms_length(transforms.centre(rig) - transforms.centre(rig).mean(axis=0))
-    if not reach > 0:
+    if not reach > 1e-6 * np.abs(transforms.centre(rig)).max():  # it stands still
         return None
     noise, arm = 0.02 * reach, max(arm, 1e-3 * reach)
     start, near = robust_umeyama(transforms.centre(own), transforms.centre(rig), noise)
