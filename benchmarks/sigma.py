@@ -134,7 +134,7 @@ def _points(
     if not folder.is_dir():
         return {}
     error, own = [], []
-    for point_id, axes in zip(sigma.points.ids, sigma.points.sigma):
+    for point_id, axes in sigma.points.items():
         point = model.point3D(point_id)
         found = [_true_place(model, e, dataset, folder) for e in point.track.elements]
         seen = [place for place in found if place is not None]

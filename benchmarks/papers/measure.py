@@ -205,9 +205,12 @@ def precision(model: Path, dataset: datasets.Dataset) -> dict[str, Any] | None:
         found = position_sigma(made, tuning=Tuning())
     except (ValueError, RuntimeError, np.linalg.LinAlgError):
         return None
-    xyz = np.array([made.points3D[k].xyz for k in found.points.ids])
+    xyz = np.array([made.points3D[k].xyz for k in found.points])
     centres = np.array([i.projection_center() for i in images])
     return {
-        "points": {"mean_m": xyz.mean(axis=0).tolist(), "sd_m": np.median(found.points.sigma, axis=0).tolist()},
+        "points": {
+            "mean_m": xyz.mean(axis=0).tolist(),
+            "sd_m": np.median(list(found.points.values()), axis=0).tolist(),
+        },
         "cameras": {"mean_m": centres.mean(axis=0).tolist(), "sd_m": np.median(found.sigma, axis=0).tolist()},
     }

@@ -316,10 +316,10 @@ def test_sigma_is_right_where_observations_share_errors(wide_world, kind) -> Non
         here = frame_poses(image_poses(model, scene), scene)
         fit = umeyama(here[:, :3, 3], true[:, :3, 3])
         turned = Rotation.from_matrix(fit.rotation @ here[:, :3, :3] @ np.swapaxes(true[:, :3, :3], 1, 2)).as_rotvec()
-        xyz, exact = (np.array([m.point3D(k).xyz for k in found.points.ids]) for m in (model, truth))
+        xyz, exact = (np.array([m.point3D(k).xyz for k in found.points]) for m in (model, truth))
         off["place"].append((_square(found.sigma), _square(fit(here[:, :3, 3]) - true[:, :3, 3])))
         off["turn"].append((_square(found.turn), _square(turned)))
-        off["point"].append((_square(found.points.sigma), _square(fit(xyz) - exact)))
+        off["point"].append((_square(np.array(list(found.points.values()))), _square(fit(xyz) - exact)))
     low, high = (0.75, 1.35) if kind == "clean" else (0.5, 2.0)
     for what, pairs in off.items():
         predicted, actual = np.sum(pairs, axis=0)

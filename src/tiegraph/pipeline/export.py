@@ -34,7 +34,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import files_below, write_atomic
 from tiegraph.project.stores import send, url_of
 from tiegraph.scene.atomic import replacing, scratch_folder
-from tiegraph.scene.cloudchunks import Scan, write_e57
+from tiegraph.scene.cloudchunks import Station, write_e57
 from tiegraph.scene.cloudfile import las_cloud
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.composed import with_cameras
@@ -173,19 +173,19 @@ def _seen_from(cloud: Cloud, pictures: Pictures, frame: Sequence[int]) -> np.nda
     return found
 
 
-def _scans(parts: Sequence[np.ndarray], model: pycolmap.Reconstruction, names: Mapping[int, str]) -> Iterator[Scan]:
+def _scans(parts: Sequence[np.ndarray], model: pycolmap.Reconstruction, names: Mapping[int, str]) -> Iterator[Station]:
     """A scan of each frame that has points, and of the points that no frame has, part by part; ``parts`` are sorted."""
     for key, name in sorted(names.items(), key=lambda item: item[1]):
         own = [part[slice(*np.searchsorted(part["frame"], [key, key + 1]))] for part in parts]
         rig_from_world = model.frame(key).rig_from_world
         if sum(map(len, own)) and rig_from_world is not None:
             rows = np.concatenate(own)
-            yield Scan(name, invert(matrix(rig_from_world)) @ _UP, xyz=rows["xyz"], rgb=rows["rgb"])
+            yield name, invert(matrix(rig_from_world)) @ _UP, rows["xyz"], rows["rgb"]
     for number, part in enumerate(parts, 1):
         rows = np.array(part[: np.searchsorted(part["frame"], 0)])
         if len(rows):
             middle = rigid(np.eye(3), np.round(rows["xyz"].mean(axis=0)))
-            yield Scan(f"tiegraph {number}", middle, xyz=rows["xyz"], rgb=rows["rgb"])
+            yield f"tiegraph {number}", middle, rows["xyz"], rows["rgb"]
 
 
 def _shown(pictures: Pictures, names: Sequence[str]) -> Iterator[tuple[Pinhole, bytes, str]]:

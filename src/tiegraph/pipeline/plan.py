@@ -134,8 +134,8 @@ def _propagate(
         covariance=np.asarray(found.covariance),
         scale=found.scale,
         pixel_sigma=found.pixel_sigma,
-        points=np.array(found.points.ids),
-        point_sigma=found.points.sigma,
+        points=np.array(list(found.points)),
+        point_sigma=np.array(list(found.points.values())),
     )
 
 

@@ -221,39 +221,32 @@ def _records(part: Measured, header: laspy.LasHeader, shift: np.ndarray) -> lasp
     return record
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """What one station of an instrument measured: xyz (N, 3) and rgb (N, 3) u1 in the world, world_from_scan (4, 4)."""
-
-    name: str
-    world_from_scan: np.ndarray
-    xyz: np.ndarray
-    rgb: np.ndarray
-
-
+Station = tuple[str, np.ndarray, np.ndarray, np.ndarray]
+"""What an instrument measured at one place: its name, world_from_scan (4, 4), xyz (N, 3) and rgb (N, 3) u1 in the
+world."""
 _COLOURS = ("Red", "Green", "Blue")
 _IMAGE_AXES = np.diag([1.0, -1, -1, 1])  # E57's pinhole cameras look along -z, with y up
 
 
 def write_e57(
-    scans: Iterable[Scan], path: Path, origin: Origin | None, shown: Iterable[tuple[Pinhole, bytes, str]]
+    scans: Iterable[Station], path: Path, origin: Origin | None, shown: Iterable[tuple[Pinhole, bytes, str]]
 ) -> int:
     """Write scans, each in its own frame with its pose in coordinates of the CRS, and what is ``shown``: the camera of
     a picture without distortion, its JPEG, the name of its scan. How many points there are. pye57 keeps single
     precision about the place of a scan. Raises EngineMissing without pye57, InputError for a full disk."""
     pye57, count, guid = _pye57(path), 0, {}
     with replacing(path) as temporary, pye57.E57(str(temporary), mode="w") as file:
-        for scan in scans:
-            local = transforms.apply(transforms.invert(scan.world_from_scan), scan.xyz)  # single precision there
+        for scan, world_from_scan, xyz, rgb in scans:
+            local = transforms.apply(transforms.invert(world_from_scan), xyz)  # single precision there
             columns = {f"cartesian{axis}": np.ascontiguousarray(local[:, k]) for k, axis in enumerate("XYZ")}
-            columns |= {f"color{c}": np.ascontiguousarray(scan.rgb[:, k]) for k, c in enumerate(_COLOURS)}
+            columns |= {f"color{c}": np.ascontiguousarray(rgb[:, k]) for k, c in enumerate(_COLOURS)}
             ends = (("Minimum", local.min(axis=0)), ("Maximum", local.max(axis=0)))  # pye57's own are not the scan's
             box = {f"{axis}{end}": at[k] for end, at in ends for k, axis in enumerate("xyz")}
-            quaternion, place = _placed(scan.world_from_scan, origin)
-            name = f"{scan.name} ({'no CRS' if origin is None else origin.crs})"
+            quaternion, place = _placed(world_from_scan, origin)
+            name = f"{scan} ({'no CRS' if origin is None else origin.crs})"
             header = SimpleNamespace(**box, name=name, rotation=quaternion, translation=place)
             file.write_scan_raw(columns, scan_header=header)
-            guid[scan.name] = file.data3d[len(file.data3d) - 1]["guid"].value()
+            guid[scan] = file.data3d[len(file.data3d) - 1]["guid"].value()
             count += len(local)
         for camera, jpeg, scan_name in shown:
             _add_picture(pye57.libe57, file, jpeg, _pinhole(camera, origin, guid.get(scan_name)))

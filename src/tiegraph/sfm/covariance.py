@@ -54,14 +54,6 @@ class Mounting:
 
 
 @dataclass(frozen=True)
-class PointSigma:
-    """One-sigma uncertainty of points of the model."""
-
-    ids: tuple[int, ...]
-    sigma: np.ndarray  # (P, 3) along the model's axes, model units
-
-
-@dataclass(frozen=True)
 class PositionSigma:
     """One-sigma uncertainty of frames, points, scale and lenses after the best similarity of the positions to the
     truth.
@@ -73,7 +65,7 @@ class PositionSigma:
     frame_ids: tuple[int, ...]  # of the model
     sigma: np.ndarray  # (F, 3) along the model's axes, model units
     pixel_sigma: float  # a posteriori sigma of one image coordinate, pixels, robust
-    points: PointSigma
+    points: dict[int, np.ndarray]  # by the ids of points: as ``sigma``, (3,)
     lenses: tuple[LensError, ...] = ()  # what their models leave out
     interior: tuple[tuple, ...] = ()
     mounting: dict[int, Mounting] = field(default_factory=dict)
@@ -219,7 +211,7 @@ def _sigma(
         turns=np.array([full[k : k + 3, k : k + 3] for k in range(count, 2 * count, 3)]),
         covariance=full[:count, :count],
         pixel_sigma=float(np.sqrt(seen.variance)),
-        points=PointSigma(tuple(seen.points[k] for k in points), np.sqrt(of_points)),
+        points=dict(zip([seen.points[k] for k in points], np.sqrt(of_points))),
         interior=_interior(model, layout, rest, tuning.strong_correlation),
         mounting=_mountings(layout, rest),
         scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
