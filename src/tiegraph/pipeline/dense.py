@@ -195,7 +195,7 @@ def cloud(run: Run) -> Outcome:
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
     moved = run.receipts.read("dense")["counts"]["pixels"] - counts["pixels"] - counts["uncertain"]
     if moved and any(p.elsewhen for p in plans.values()):
-        notes.append(f"{moved} pixels of the depth maps were left out: other passes see through what was there")
+        notes.append(f"{moved} pixels of the depth maps are left out: other passes see another surface behind them")
     return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
 
 
