@@ -314,7 +314,7 @@ def test_a_small_survey_is_mapped_both_ways_and_the_matches_choose(
         asked.append(mapper)
         return mapping.Outcome(mapper, [made[mapper]], len(scene))
 
-    monkeypatch.setattr(mapping, "_run", run)
+    monkeypatch.setattr(mapping, "run_once", run)
     job = _job(scene)
     job = replace(job, source=replace(job.source, database=tmp_path / "database.db"))
     job = replace(job, graph=SimpleNamespace(components=[len(scene)]))
@@ -358,7 +358,7 @@ def test_a_start_that_contradicts_pairs_is_kept_where_it_explains_more_than_a_ma
         why = "it contradicts 79 of 765 verified pairs of images" if doubt and mapper == "preview" else ""
         return mapping.Outcome(mapper, [made[mapper]], len(scene), refused=why)
 
-    monkeypatch.setattr(mapping, "_run", run)
+    monkeypatch.setattr(mapping, "run_once", run)
     monkeypatch.setattr(mapping, "_mapped", lambda job, label: run(job, "global", label))
     monkeypatch.setattr(mapping, "with_others", lambda job, outcome: outcome)
     job = _job(scene)

@@ -172,11 +172,11 @@ def test_what_a_mapper_made_too_long_is_mapped_again(
     stretched = tmp_path / "stretched"
     stretched.mkdir()
     model.write(stretched)
-    run, doubt = mapping._run, "it contradicts 9 of 10 pairs" if doubted else ""
+    run, doubt = mapping.run_once, "it contradicts 9 of 10 pairs" if doubted else ""
     monkeypatch.setattr(
         mapping, "_mapped", lambda *job: mapping.Outcome("global", [stretched], round(seeing * len(scene)))
     )
-    monkeypatch.setattr(mapping, "_run", lambda *job: replace(run(*job), refused=doubt))
+    monkeypatch.setattr(mapping, "run_once", lambda *job: replace(run(*job), refused=doubt))
     made = run_sparse(tmp_path, scene, mapper="global")
     assert "the path scaled to the rig" in str(made.tables)
     assert any("0.125, by its matches" in note for note in made.remarks.notes)

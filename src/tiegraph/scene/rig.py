@@ -131,9 +131,14 @@ class Rig:
         """Whether some of its geometry is given with a sigma, to be adjusted about; a nominal rig's is a guess."""
         return not (self.fixed or self.nominal) and (bool(self.pairs) or any(s.soft() for s in self.sensors[1:]))
 
+    @property
+    def mounted(self) -> int:
+        """Number of sensors with extrinsics."""
+        return sum(s.sensor_from_rig is not None for s in self.sensors)
+
     def known(self) -> bool:
         """Whether every sensor has extrinsics."""
-        return all(s.sensor_from_rig is not None for s in self.sensors)
+        return self.mounted == len(self.sensors)
 
     def measured(self) -> bool:
         """Whether it comes from a calibration: stated, or with measured intrinsics and not called nominal."""

@@ -216,6 +216,13 @@ def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishR
         return [], False
     out.tables["matches that the model explains: frames with the fewest"] = found.table()
     out.counts["matches_explained_percent"] = round(found.percent(), 1)
+    if found.percent() < 100 * found.tuning.explains:
+        out.contradictions.append(
+            f"only {found.percent():.0f} % of the verified matches agree with the model, where "
+            f"{100 * found.tuning.explains:.0f} % and more agree with models that are right: parts of it are probably "
+            "at a wrong place, because different places look alike; compare it with measured positions or control "
+            "points, and give the rig and the positions if they are known"
+        )
     out.contradictions += rivals_told(other, scene)
     parts, (confirmed, sure) = steps_of_parts(found, places), confirmed_places(places, scene)
     alone = [part[0] for part in found.parts if len(part) == 1]

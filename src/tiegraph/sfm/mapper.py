@@ -27,6 +27,7 @@ from tiegraph.sfm.mapping import (
     Source,
     believed_cameras,
     map_images,
+    run_once,
     share_of_matches,
     with_others,
 )
@@ -164,38 +165,66 @@ def _without_unsupported(job: Job) -> Job:
 
 
 def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome]:
-    """The job with the extrinsics of unknown rigs, derived from models made without these rigs, and its models. Where
-    none could be derived, or the models made with them explain clearly fewer matches, the job as it was and the models
-    without."""
+    """The job with the extrinsics of unknown rigs, derived from the coarse model or from models made without these
+    rigs, and its models. Where none could be derived, or the models made with them explain clearly fewer matches, the
+    job as it was and the models without. A camera that a first model does not show together with others may be mounted
+    by the model made with the others."""
     if not unknown:
         job = start_from_sections(job)
         return job, map_images(job)
-    outcome = map_images(job, "without the unknown rig")
-    models, rigs = [read_model(folder) for folder in outcome.folders], list(job.scene.rigs)
-    for index in unknown:
-        rig, said = derive_rig(job.scene, index, models, job.tuning.rig.derive)
-        job.account.notes.append(said)
-        rigs[index] = rig or rigs[index]
-    derived = {k: "derived" for k in unknown if rigs[k] is not job.scene.rigs[k]}
-    if not derived:
-        return job, with_others(job, outcome)
-    known = replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **derived})
-    known = start_from_sections(known)
-    try:
-        made = map_images(known)
-    except (ReconstructionError, ChildDied) as error:
-        job.account.notes.append(
-            f"there is no model with the rig that was found, it is not used: {str(error).splitlines()[0]}"
-        )
-        return job, with_others(job, outcome)
-    share = [share_of_matches(one, found) for one, found in ((known, made), (job, outcome))]
-    if share[0] >= job.tuning.mapping.clearly_fewer * share[1]:
-        return known, made
-    job.account.notes.append(
-        f"with the rig that was found the model explains {100 * share[0]:.0f} % of the matches, without it "
-        f"{100 * share[1]:.0f} %: the rig is not used"
-    )
-    return job, with_others(job, outcome)
+    said, notes = dict.fromkeys(unknown, ""), job.account.notes
+    job, started = _with_rigs_of_the_start(job, said)
+    outcome = started or map_images(job, "without the unknown rig")
+    without = None if started else outcome
+    while (known := _derived(job, _poses(outcome, job.scene), said)) is not None:
+        known = start_from_sections(known)
+        try:
+            made = map_images(known)
+        except (ReconstructionError, ChildDied) as error:
+            first = str(error).splitlines()[0]
+            notes.append(f"there is no model with the rig that was found, it is not used: {first}")
+            break
+        share = [share_of_matches(one, found) for one, found in ((known, made), (job, outcome))]
+        if share[0] < job.tuning.mapping.clearly_fewer * share[1]:
+            notes.append(
+                f"with the rig that was found the model explains {100 * share[0]:.0f} % of the matches, without it "
+                f"{100 * share[1]:.0f} %: the rig is not used"
+            )
+            break
+        start = replace(known.source, preview=_poses(made, known.scene)[0])
+        job, outcome = replace(known, source=start), made
+    notes += said.values()
+    return job, with_others(job, outcome) if outcome is without else outcome
+
+
+def _with_rigs_of_the_start(job: Job, said: dict[int, str]) -> tuple[Job, Outcome | None]:
+    """The job with the extrinsics of unknown rigs that the coarse model tells, and its models from there; the job as it
+    was, and None, if it tells none, or if that model fails its acceptance test."""
+    poses, told = job.source.preview, dict.fromkeys(said, "")
+    if poses is None or job.source.apart or job.settings.mapper != "auto":
+        return job, None
+    known = _derived(job, [poses], told)
+    outcome = None if known is None else run_once(known, "preview", "with the rig of the coarse model")
+    if known is None or outcome is None or outcome.refused or not outcome.folders:
+        return job, None
+    said |= told
+    return known, with_others(known, outcome)
+
+
+def _poses(outcome: Outcome, scene: Scene) -> list[np.ndarray]:
+    return [image_poses(read_model(folder), scene) for folder in outcome.folders]
+
+
+def _derived(job: Job, models: list[np.ndarray], said: dict[int, str]) -> Job | None:
+    """The job with more extrinsics of rigs, which models tell by the poses (N, 4, 4) of their images; None = no more.
+    ``said``: of each rig that was unknown the remark on them, which is brought up to date."""
+    rigs = list(job.scene.rigs)
+    for index in said:
+        rig, remark = derive_rig(job.scene, index, models, job.tuning.rig.derive)
+        if not said[index] or (rig is not None and rig.mounted > rigs[index].mounted):
+            rigs[index], said[index] = rig or rigs[index], remark
+    new = {k: "derived" for k in said if rigs[k] is not job.scene.rigs[k]}
+    return replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **new}) if new else None
 
 
 def _finish(job: Job, outcome: Outcome) -> FinishResult:

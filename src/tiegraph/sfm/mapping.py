@@ -138,7 +138,7 @@ def map_images(job: Job, label: str = "") -> Outcome:
     """
     asked, notes, doubted = job.settings.mapper == "auto" and not label, job.account.notes, None
     if asked and job.source.preview is not None:
-        outcome = doubted = _run(job, "preview", label)
+        outcome = doubted = run_once(job, "preview", label)
         if not outcome.refused and outcome.folders:
             return with_others(job, outcome)
         notes.append(
@@ -167,7 +167,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
     if length is None or not np.isfinite(length[0]) or 1 / most < length[0] < most:
         return outcome
     job_from_poses = replace(job, source=replace(job.source, preview=poses))
-    again = _run(job_from_poses, "preview", "with the path scaled to the rig")
+    again = run_once(job_from_poses, "preview", "with the path scaled to the rig")
     fewer = again.registered < tuning.mapping.clearly_fewer * outcome.registered
     if fewer or (again.refused and again.registered <= outcome.registered):
         job.account.notes.append(
@@ -189,7 +189,7 @@ def with_others(job: Job, outcome: Outcome) -> Outcome:
     component = job.graph.component
     rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
     if outcome.mapper == "preview" and len(rest) >= job.tuning.mapping.second_survey:
-        other = _run(job, choose_mapper(job), "of the images not tied to it", only=rest)
+        other = run_once(job, choose_mapper(job), "of the images not tied to it", only=rest)
         both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
         outcome = replace(outcome, folders=both)
     there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
@@ -198,10 +198,16 @@ def with_others(job: Job, outcome: Outcome) -> Outcome:
         if own.sum() >= job.tuning.mapping.second_survey:
             names = [job.scene.names[k] for k in np.flatnonzero(own)]
             mapped = np.any(there, axis=0)[own].any()
+            of_rig = np.isin(job.scene.frame[own], job.scene.frame[there[0]]).all()
+            why = "are another survey, or overlap too little"
+            why = (
+                "are of a camera that sees nothing of what the others see: a rig file (--rig) places them"
+                if of_rig
+                else why
+            )
             job.account.notes.append(
                 f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: they "
-                "are another survey, or overlap too little; "
-                f"{'they were mapped separately, see the table of models' if mapped else 'they make no model'}"
+                f"{why}; {'they were mapped separately, see the table of models' if mapped else 'they make no model'}"
             )
     return outcome
 
@@ -220,12 +226,12 @@ def _mapped(job: Job, label: str) -> Outcome:
     reachable, tuning = job.graph.components[0], job.tuning.mapping
     enough = (tuning.roughly_fewer if rough else tuning.clearly_fewer) * reachable if auto else 0
     both = auto and first == "incremental"
-    outcome = _run(job, first, label)
+    outcome = run_once(job, first, label)
     for mapper, seed in ((first, 1), (_OTHER[first], 0)):
         few, other = outcome.died or outcome.registered < enough, mapper != first
         if not (both and other) and (not few or (rough and other)):  # a rough model needs no slow mapper
             continue
-        second = _run(job, mapper, label, seed)
+        second = run_once(job, mapper, label, seed)
         outcome = _clearer(job, outcome, second, label)
     if not outcome.folders:
         why = outcome.refused or "the mapper found no two images to start from, or its models fell apart"
@@ -277,7 +283,8 @@ def _request(job: Job, mapper: str, seed: int = 0, only: np.ndarray | None = Non
     )
 
 
-def _run(job: Job, mapper: str, label: str, seed: int = 0, only: np.ndarray | None = None) -> Outcome:
+def run_once(job: Job, mapper: str, label: str, seed: int = 0, only: np.ndarray | None = None) -> Outcome:
+    """One run of a mapper, of some images only if these are named; ``label`` says in the table of runs what for."""
     scene, request = job.scene, _request(job, mapper, seed, only)
     total = len(scene)
     per_frame = total / max(scene.frames, 1) if job.modes else 1.0

@@ -173,9 +173,10 @@ def start_from(
 
 
 def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
-    """(N,) bool: images of the component with most known poses, connected by verified pairs (P, 2) and rigs. Images
-    outside it would stay where a rough model had them, untested, and drift."""
-    bound = np.isin(scene.rig[scene.frame], list(rigs))
+    """(N,) bool: images of the component with most known poses, connected by verified pairs (P, 2) and by the mounted
+    cameras of rigs. Images outside it would stay where a rough model had them, untested, and drift."""
+    mounted = np.array([s.sensor_from_rig is not None for s in scene.all_sensors])[scene.sensor_key]
+    bound = np.isin(scene.rig[scene.frame], list(rigs)) & (mounted | (scene.sensor == 0))
     node = np.where(bound, scene.frame, scene.frames + np.arange(len(scene)))
     label = parts(node[pairs[:, 0]], node[pairs[:, 1]], scene.frames + len(scene))[node]
     known = np.isfinite(cam_from_world).all(axis=(1, 2))

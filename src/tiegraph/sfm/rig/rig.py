@@ -68,11 +68,20 @@ class _Scatter:
     deg: float
     outliers: float
 
+    @property
+    def agreeing(self) -> int:
+        """Number of frames that agree."""
+        return round((1 - self.outliers) * self.frames)
+
+    def few(self, tuning: DeriveTuning) -> bool:
+        """Whether so few frames agree that the model is torn, if the cameras are rigid."""
+        return self.outliers > tuning.max_outliers
+
     def why_not(self, tuning: DeriveTuning) -> str:
-        """Why the frames do not agree on one mounting; "" if they do."""
+        """Why no mounting is known; "" if one is."""
         if self.frames < tuning.min_frames:
             return f"only {self.frames} frames show it together with the others"
-        if self.deg <= tuning.max_scatter_deg and self.outliers <= tuning.max_outliers:
+        if self.deg <= tuning.max_scatter_deg and self.agreeing >= tuning.min_frames:
             return ""
         return (
             f"its rotation scatters by {self.deg:.2f} deg with {self.outliers:.0%} outliers over {self.frames} frames: "
@@ -80,11 +89,9 @@ class _Scatter:
         )
 
 
-def derive_rig(
-    scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction], tuning: DeriveTuning
-) -> tuple[Rig | None, str]:
-    """Extrinsics of rig ``index`` by robust averages over the frames of models made without it, and a remark; None if
-    no two sensors are rigid.
+def derive_rig(scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: DeriveTuning) -> tuple[Rig | None, str]:
+    """Extrinsics of rig ``index`` by robust averages over the frames of models made without it, of which ``poses`` are
+    those (N, 4, 4) of their images, and a remark; None if no two sensors are rigid.
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline
     (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was, and one
@@ -97,14 +104,14 @@ def derive_rig(
     found: dict[int, np.ndarray] = {0: np.eye(4)}
     held: dict[int, _Scatter] = {}
     left_out: dict[int, str] = {}
-    poses = [image_poses(m, scene) for m in models]
     relative = _relative_poses(scene, index, poses)
     while True:
         ready = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found and b not in left_out}
         if not ready:
             break
-        (a, b), stack = max(ready.items(), key=lambda item: (len(item[1]), -item[0][0], -item[0][1]))
-        average, scatter = _average(stack, tuning.outlier_deg)
+        made = {pair: _mounting(stack, tuning) for pair, stack in ready.items()}
+        a, b = max(sorted(made), key=lambda pair: _rank(*made[pair], tuning))
+        average, scatter = made[a, b]
         if why := scatter.why_not(tuning):
             left_out[b] = why
         else:
@@ -124,10 +131,15 @@ def derive_rig(
         none = "its extrinsics could not be determined; the images were mapped without the rig"
         return None, f"rig {rig.name}: {none} ({lost})"
     worst = max(held, key=lambda k: held[k].deg)
+    few = [f"{names[k]}: {s.agreeing} of {s.frames} frames" for k, s in sorted(held.items()) if s.few(tuning)]
     said = (
         f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found from a model without rig and then "
         f"adjusted; largest scatter over frames {held[worst].deg:.2f} deg ({names[worst]}, {held[worst].frames} frames)"
-    ) + (f"; left out: {lost}" if lost else "")
+    )
+    said += (
+        f"; the model is torn, so the shortest mounting that frames agree on is taken ({', '.join(few)})" if few else ""
+    )
+    said += f"; left out: {lost}" if lost else ""
     sensors = tuple(replace(s, sensor_from_rig=found.get(k)) for k, s in enumerate(rig.sensors))
     return replace(rig, sensors=sensors, fixed=False, nominal=True), said
 
@@ -225,13 +237,38 @@ def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning)
     return transforms.rigid(rotation, -rotation @ fit.x[10:]), scatter
 
 
-def _average(stack: np.ndarray, outlier_deg: float) -> tuple[np.ndarray, _Scatter]:
-    rotation = l1_mean_rotation(stack[:, :3, :3])
-    angles = transforms.angle_deg(stack[:, :3, :3], rotation)
-    close = angles < outlier_deg
-    translation = np.median(stack[close if close.any() else slice(None), :3, 3], axis=0)
-    scatter = _Scatter(len(stack), float(np.median(angles)), float(np.mean(~close)))
-    return transforms.rigid(rotation, translation), scatter
+def _rank(mounting: np.ndarray, scatter: _Scatter, tuning: DeriveTuning) -> tuple[bool, bool, float]:
+    """Order of mountings: those of most frames by their number, then those of few frames, the shortest first."""
+    few = scatter.few(tuning)
+    return not scatter.why_not(tuning), not few, -float(np.linalg.norm(mounting[:3, 3])) if few else scatter.frames
+
+
+def _mounting(stack: np.ndarray, tuning: DeriveTuning) -> tuple[np.ndarray, _Scatter]:
+    """The mounting (4, 4) on which the relative poses (K, 4, 4) of frames agree, and their scatter.
+
+    Where most frames agree: the L1 mean of their rotations, the median of their translations. Else the cameras are not
+    rigid, or the model is torn. A model torn at a wall that repeats puts the cameras of a frame far from each other,
+    where a rig is small: of the mountings on which several frames agree, the shortest is taken.
+    """
+    turns, length = stack[:, :3, :3], np.linalg.norm(stack[:, :3, 3], axis=1)
+    rotation = l1_mean_rotation(turns)
+    close = transforms.angle_deg(turns, rotation) < tuning.outlier_deg
+    used = close if close.any() else np.ones(len(stack), bool)
+    if np.mean(~close) > tuning.max_outliers:
+        some = turns[evenly(len(stack), 300)]
+        alike = [
+            one
+            for one in transforms.angle_deg(turns, some[:, None]) < tuning.outlier_deg
+            if one.sum() >= tuning.min_frames
+        ]
+        near = [one & (length <= np.median(length[one])) for one in alike]
+        if near:
+            best = int(np.argmin([np.median(length[one]) for one in near]))
+            close, used = alike[best], near[best]
+            rotation = l1_mean_rotation(turns[used])
+    angles = transforms.angle_deg(turns, rotation)
+    scatter = _Scatter(len(stack), float(np.median(angles[close] if close.any() else angles)), float(np.mean(~close)))
+    return transforms.rigid(rotation, np.median(stack[used, :3, 3], axis=0)), scatter
 
 
 def unsupported_sensors(
