@@ -348,4 +348,4 @@ def _with_sigmas(run: FoundRun, found: Rig, index: int) -> Rig:
         sensors.append(replace(sensor, sigma_deg=float(f"{sigma_deg:.3g}"), sigma_m=float(f"{sigma_m:.3g}")))
     if kept:
         run.said.append(f"{found.name}: {', '.join(kept)} as given: too few ties determine the pose in the rig")
-    return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
+    return replace(found, sensors=tuple(sensors), nominal=False, derived=False, pairs=())

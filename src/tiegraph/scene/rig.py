@@ -123,6 +123,7 @@ class Rig:
     sensors: tuple[Sensor, ...]
     fixed: bool = False  # True: the extrinsics are calibrated and must not be refined
     nominal: bool = False  # True: the extrinsics are a preset or a guess (off by degrees)
+    derived: bool = False  # True: nominal by the images of the survey, in no unit: no statement on lever arms
     antenna_m: tuple[float, float, float] | None = None  # GNSS antenna in the rig frame (lever arm)
     pairs: tuple[SensorPair, ...] = ()
     synchronised: bool = False  # True: stated to fire at one instant; False: unknown

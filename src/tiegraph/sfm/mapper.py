@@ -27,6 +27,7 @@ from tiegraph.sfm.mapping import (
     Source,
     believed_cameras,
     map_images,
+    others_told,
     run_once,
     share_of_matches,
     with_others,
@@ -134,6 +135,7 @@ def reconstruct(
     try:
         job = _without_unsupported(job)
         job, outcome = _with_unknown_rigs(job, [k for k, mode in modes.items() if mode == "derived"])
+        account.notes += others_told(job, outcome)
         return _account(job, outcome, _finish(job, outcome))
     finally:
         shutil.rmtree(out / SCRATCH, ignore_errors=True)

@@ -180,36 +180,42 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
 
 
 def with_others(job: Job, outcome: Outcome) -> Outcome:
-    """Report images that nothing ties to the first model, such as a second survey in the folder.
+    """With models of the images that nothing ties to the first model, such as a second survey in the folder.
 
-    A start from poses makes one model only, so the remaining images are mapped now; a mapper has made its other
-    models already.
+    A start from poses makes one model only; a mapper has made its other models already.
     """
+    rest = np.flatnonzero(_untied(job, outcome) >= 0)
+    if outcome.mapper != "preview" or len(rest) < job.tuning.mapping.second_survey:
+        return outcome
+    other = run_once(job, choose_mapper(job), "of the images not tied to it", only=rest)
+    both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
+    return replace(outcome, folders=both)
+
+
+def _untied(job: Job, outcome: Outcome) -> np.ndarray:
+    """(N,) component of the images with verified pairs that no pair ties to the first model; -1 = the others."""
     first = np.isfinite(image_poses(read_model(outcome.folders[0]), job.scene)).all(axis=(1, 2))
     component = job.graph.component
-    rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
-    if outcome.mapper == "preview" and len(rest) >= job.tuning.mapping.second_survey:
-        other = run_once(job, choose_mapper(job), "of the images not tied to it", only=rest)
-        both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
-        outcome = replace(outcome, folders=both)
+    return np.where(np.isin(component, np.unique(component[first])), -1, component)
+
+
+def others_told(job: Job, outcome: Outcome) -> list[str]:
+    """A remark on each group of images that nothing ties to the first model."""
     there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
-    for number in np.unique(component[rest]):
-        own = component == number
-        if own.sum() >= job.tuning.mapping.second_survey:
-            names = [job.scene.names[k] for k in np.flatnonzero(own)]
-            mapped = np.any(there, axis=0)[own].any()
-            of_rig = np.isin(job.scene.frame[own], job.scene.frame[there[0]]).all()
-            why = "are another survey, or overlap too little"
-            why = (
-                "are of a camera that sees nothing of what the others see: a rig file (--rig) places them"
-                if of_rig
-                else why
-            )
-            job.account.notes.append(
-                f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: they "
-                f"{why}; {'they were mapped separately, see the table of models' if mapped else 'they make no model'}"
-            )
-    return outcome
+    untied, frame, out = _untied(job, outcome), job.scene.frame, []
+    for number in np.unique(untied[untied >= 0]):
+        own = untied == number
+        if own.sum() < job.tuning.mapping.second_survey:
+            continue
+        why = "another survey, or overlap too little"
+        if np.isin(frame[own], frame[there[0]]).all():
+            why = "of a camera that sees nothing of what the others see: a rig file (--rig) would place them"
+        names, mapped = [job.scene.names[k] for k in np.flatnonzero(own)], np.any(there, axis=0)[own].any()
+        out.append(
+            f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: they are "
+            f"{why}; {'they were mapped separately, see the table of models' if mapped else 'they make no model'}"
+        )
+    return out
 
 
 def _mapped(job: Job, label: str) -> Outcome:

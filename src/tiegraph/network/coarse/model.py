@@ -255,8 +255,8 @@ def calibrated_rigs(
             elif extrinsics is None:
                 extrinsics = b.sensor_from_rig
             sensors.append(replace(a, camera=camera, sensor_from_rig=extrinsics))
-        guessed = old.nominal or not old.known()
-        rigs.append(replace(old, sensors=tuple(sensors), nominal=guessed))
+        derived = old.derived or not old.known()
+        rigs.append(replace(old, sensors=tuple(sensors), nominal=old.nominal or derived, derived=derived))
         if turned:
             notes.append(f"rig {old.name}: its cameras are rotated by up to {max(turned):.2f} deg from nominal")
     return tuple(rigs), tuple(notes)

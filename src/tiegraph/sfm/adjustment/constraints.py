@@ -257,11 +257,14 @@ def of_one_shot(model: pycolmap.Reconstruction, scene: Scene, tuning: RigTuning)
 
 
 def nominal_geometry(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, NominalGeometry]:
-    """Centres of the cameras of nominal rigs, by rig id and camera id, in the frame of the model's
-    reference, metres."""
+    """Centres of the cameras of nominal rigs, by rig id and camera id, in the frame of the model's reference, metres.
+
+    Of derived rigs there are none: a lever arm of a rough model, taken for a drawing, held the up camera of canal_demo
+    60 mm from its place and the others 20 mm; without it 9 mm.
+    """
     out: dict[int, NominalGeometry] = {}
     for index, (first, rig) in enumerate(scene.keyed_rigs):
-        if rig.nominal and index + 1 in model.rigs:
+        if rig.nominal and not rig.derived and index + 1 in model.rigs:
             reference = rig.sensors[model.rigs[index + 1].ref_sensor_id.id - 1 - first].sensor_from_rig
             out[index + 1] = {
                 first + k + 1: transforms.centre(s.sensor_from_rig @ transforms.invert(reference))

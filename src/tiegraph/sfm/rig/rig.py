@@ -141,7 +141,7 @@ def derive_rig(scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: De
     )
     said += f"; left out: {lost}" if lost else ""
     sensors = tuple(replace(s, sensor_from_rig=found.get(k)) for k, s in enumerate(rig.sensors))
-    return replace(rig, sensors=sensors, fixed=False, nominal=True), said
+    return replace(rig, sensors=sensors, fixed=False, nominal=True, derived=True), said
 
 
 def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
