@@ -117,7 +117,10 @@ def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db", noise_px=0.2)
     unknown = without_extrinsics(scene)
     result = _run(tmp_path, unknown)
-    assert result.rig == "derived" and result.mapper == "global"
+    assert result.rig == "derived" and result.mapper == "preview"
+    assert [row[0] for row in result.tables["runs"]["rows"]] == ["global", "preview"], (
+        "it starts from what gave the rig"
+    )
     extrinsics = [s.sensor_from_rig for s in model_rigs(result.load(), result.scene)[0].sensors]
     for sensor, pose in zip(scene.rigs[0].sensors[1:], extrinsics[1:]):
         assert pose is not None
@@ -143,7 +146,7 @@ def test_a_rig_with_which_the_model_explains_less_is_not_used(share, said: str, 
     map_images = mapper.map_images
     monkeypatch.setattr(mapper, "map_images", mapped)
     monkeypatch.setattr(
-        mapper, "share_of_matches", lambda job, made: share if "derived" in job.modes.values() else 0.77
+        mapper, "share_of_matches", lambda job, made: share or 0.0 if "derived" in job.modes.values() else 0.77
     )
     result = _run(tmp_path, without_extrinsics(scene))
     assert result.rig == ("absent" if said else "derived")

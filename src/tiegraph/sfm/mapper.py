@@ -30,6 +30,7 @@ from tiegraph.sfm.mapping import (
     others_told,
     run_once,
     share_of_matches,
+    start_from_sections,
     with_others,
 )
 from tiegraph.sfm.model import Findings
@@ -48,7 +49,6 @@ from tiegraph.sfm.rig.rig import derive_rig, rig_modes, ties_of, unsupported_sen
 from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
-from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.verified import ViewGraph
 
@@ -179,24 +179,33 @@ def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome]:
     outcome = started or map_images(job, "without the unknown rig")
     without = None if started else outcome
     while (known := _derived(job, _poses(outcome, job.scene), said)) is not None:
-        known = start_from_sections(known)
+        least = job.tuning.mapping.clearly_fewer * share_of_matches(job, outcome)
         try:
-            made = map_images(known)
+            made = _mapped_with_rigs(known, least)
         except (ReconstructionError, ChildDied) as error:
             first = str(error).splitlines()[0]
             notes.append(f"there is no model with the rig that was found, it is not used: {first}")
             break
-        share = [share_of_matches(one, found) for one, found in ((known, made), (job, outcome))]
-        if share[0] < job.tuning.mapping.clearly_fewer * share[1]:
+        if (share := share_of_matches(known, made)) < least:
             notes.append(
-                f"with the rig that was found the model explains {100 * share[0]:.0f} % of the matches, without it "
-                f"{100 * share[1]:.0f} %: the rig is not used"
+                f"with the rig that was found the model explains {100 * share:.0f} % of the matches, without it "
+                f"{100 * share_of_matches(job, outcome):.0f} %: the rig is not used"
             )
             break
-        start = replace(known.source, preview=_poses(made, known.scene)[0])
-        job, outcome = replace(known, source=start), made
+        job, outcome = known, made
     notes += said.values()
     return job, with_others(job, outcome) if outcome is without else outcome
+
+
+def _mapped_with_rigs(known: Job, least: float) -> Outcome:
+    """Models with derived rigs: from the poses that these were derived from, if they explain the ``least`` share of the
+    matches then; else, and where those poses are torn, mapped anew."""
+    known = start_from_sections(known)
+    if known.source.preview is not None and known.settings.mapper == "auto":
+        made = run_once(known, "preview", "with the rig that was found")
+        if made.folders and share_of_matches(known, made) >= least:
+            return with_others(known, made)
+    return map_images(replace(known, source=replace(known.source, preview=None)))
 
 
 def _with_rigs_of_the_start(job: Job, said: dict[int, str]) -> tuple[Job, Outcome | None]:
@@ -219,14 +228,17 @@ def _poses(outcome: Outcome, scene: Scene) -> list[np.ndarray]:
 
 def _derived(job: Job, models: list[np.ndarray], said: dict[int, str]) -> Job | None:
     """The job with more extrinsics of rigs, which models tell by the poses (N, 4, 4) of their images; None = no more.
-    ``said``: of each rig that was unknown the remark on them, which is brought up to date."""
-    rigs = list(job.scene.rigs)
+    It starts from the poses of the first model, unless that is torn. ``said``: of each rig that was unknown the remark
+    on them, which is brought up to date."""
+    rigs, whole = list(job.scene.rigs), True
     for index in said:
-        rig, remark = derive_rig(job.scene, index, models, job.tuning.rig.derive)
+        rig, remark, torn = derive_rig(job.scene, index, models, job.tuning.rig.derive)
         if not said[index] or (rig is not None and rig.mounted > rigs[index].mounted):
-            rigs[index], said[index] = rig or rigs[index], remark
+            rigs[index], said[index], whole = rig or rigs[index], remark, whole and not torn
     new = {k: "derived" for k in said if rigs[k] is not job.scene.rigs[k]}
-    return replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **new}) if new else None
+    source = replace(job.source, preview=models[0] if whole else None)
+    known = replace(job, scene=job.scene.with_(rigs=tuple(rigs)), modes={**job.modes, **new}, source=source)
+    return known if new else None
 
 
 def _finish(job: Job, outcome: Outcome) -> FinishResult:
@@ -355,44 +367,3 @@ def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene, 
         reprojection_px=float(reconstruction.compute_mean_reprojection_error()),
         track_length=float(reconstruction.compute_mean_track_length()),
     )
-
-
-COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
-
-
-def start_from_sections(job: Job) -> Job:
-    """The job, starting from the poses of its sections if these are to be mapped separately and joined (paper 001).
-
-    The pairs of images between sections are not used while these are mapped. Afterwards they join the models
-    (``ties``), which shows how well the borders hold, and the whole survey starts from the joined poses with all
-    pairs.
-    """
-    scene, source = job.scene, job.source
-    if not source.apart:
-        return job
-    refused = tuple(sorted({*source.refused, *source.apart}))
-    graph = ViewGraph(source.database, scene, job.settings.min_matches, refused)
-    account = Account(runs=job.account.runs)  # no remark is needed where a section has no pair with another
-    alone = replace(job, source=replace(source, refused=refused, apart=()), graph=graph, account=account)
-    models = [read_model(folder) for folder in map_images(alone).folders]
-    joining = Joining(scene, job.matches().read(scene), job.tuning.placement, models, {0: models[0]})
-    while (found := joining.strongest([k for k in range(len(models)) if k not in joining.world])) is not None:
-        number, fit, _ = found
-        joining.add(number, moved(models[number], fit.first_from_second))
-    poses = np.full((len(scene), 4, 4), np.nan)
-    for number in sorted(joining.world, reverse=True):  # the larger model decides where two have an image
-        own = image_poses(joining.world[number], scene)
-        there = np.isfinite(own).all(axis=(1, 2))
-        poses[there] = own[there]
-    rows = [_row(k, len(m.reg_image_ids()), joining.tests.get(k), k in joining.world) for k, m in enumerate(models)]
-    job.account.tables["sections mapped separately"] = {"columns": COLUMNS, "rows": rows}
-    job.account.notes.append(
-        f"{len(models)} sections were mapped separately and {len(joining.world)} of them joined by the matches "
-        "between them; the whole survey starts from these poses"
-    )
-    return replace(job, source=replace(source, apart=(), preview=poses))
-
-
-def _row(number: int, images: int, test: TieTest | None, joined: bool) -> list:
-    told = [None] * len(TEST_COLUMNS) if test is None else test.cells()
-    return [number, images, *told, "yes" if joined else "no"]

@@ -22,6 +22,7 @@ from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import length_of_path
+from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import MatchSource, ViewGraph, share_explained
 
@@ -320,3 +321,44 @@ def run_once(job: Job, mapper: str, label: str, seed: int = 0, only: np.ndarray 
 def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
     reconstruction = read_model(folder)
     return int(np.sum(observations(reconstruction, scene) >= least)), reconstruction.num_points3D()
+
+
+SECTION_COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
+
+
+def start_from_sections(job: Job) -> Job:
+    """The job, starting from the poses of its sections if these are to be mapped separately and joined (paper 001).
+
+    The pairs of images between sections are not used while these are mapped. Afterwards they join the models
+    (``ties``), which shows how well the borders hold, and the whole survey starts from the joined poses with all
+    pairs.
+    """
+    scene, source = job.scene, job.source
+    if not source.apart:
+        return job
+    refused = tuple(sorted({*source.refused, *source.apart}))
+    graph = ViewGraph(source.database, scene, job.settings.min_matches, refused)
+    account = Account(runs=job.account.runs)  # no remark is needed where a section has no pair with another
+    alone = replace(job, source=replace(source, refused=refused, apart=()), graph=graph, account=account)
+    models = [read_model(folder) for folder in map_images(alone).folders]
+    joining = Joining(scene, job.matches().read(scene), job.tuning.placement, models, {0: models[0]})
+    while (found := joining.strongest([k for k in range(len(models)) if k not in joining.world])) is not None:
+        number, fit, _ = found
+        joining.add(number, moved(models[number], fit.first_from_second))
+    poses = np.full((len(scene), 4, 4), np.nan)
+    for number in sorted(joining.world, reverse=True):  # the larger model decides where two have an image
+        own = image_poses(joining.world[number], scene)
+        there = np.isfinite(own).all(axis=(1, 2))
+        poses[there] = own[there]
+    rows = [_row(k, len(m.reg_image_ids()), joining.tests.get(k), k in joining.world) for k, m in enumerate(models)]
+    job.account.tables["sections mapped separately"] = {"columns": SECTION_COLUMNS, "rows": rows}
+    job.account.notes.append(
+        f"{len(models)} sections were mapped separately and {len(joining.world)} of them joined by the matches "
+        "between them; the whole survey starts from these poses"
+    )
+    return replace(job, source=replace(source, apart=(), preview=poses))
+
+
+def _row(number: int, images: int, test: TieTest | None, joined: bool) -> list:
+    told = [None] * len(TEST_COLUMNS) if test is None else test.cells()
+    return [number, images, *told, "yes" if joined else "no"]

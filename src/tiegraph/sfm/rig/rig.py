@@ -89,9 +89,11 @@ class _Scatter:
         )
 
 
-def derive_rig(scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: DeriveTuning) -> tuple[Rig | None, str]:
+def derive_rig(
+    scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: DeriveTuning
+) -> tuple[Rig | None, str, bool]:
     """Extrinsics of rig ``index`` by robust averages over the frames of models made without it, of which ``poses`` are
-    those (N, 4, 4) of their images, and a remark; None if no two sensors are rigid.
+    those (N, 4, 4) of their images; None if no two sensors are rigid. A remark; whether the models seem to be torn.
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline
     (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was, and one
@@ -129,7 +131,7 @@ def derive_rig(scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: De
     lost = "; ".join(f"{names[b]}: {why}" for b, why in sorted(left_out.items()))
     if not held:
         none = "its extrinsics could not be determined; the images were mapped without the rig"
-        return None, f"rig {rig.name}: {none} ({lost})"
+        return None, f"rig {rig.name}: {none} ({lost})", False
     worst = max(held, key=lambda k: held[k].deg)
     few = [f"{names[k]}: {s.agreeing} of {s.frames} frames" for k, s in sorted(held.items()) if s.few(tuning)]
     said = (
@@ -141,7 +143,7 @@ def derive_rig(scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: De
     )
     said += f"; left out: {lost}" if lost else ""
     sensors = tuple(replace(s, sensor_from_rig=found.get(k)) for k, s in enumerate(rig.sensors))
-    return replace(rig, sensors=sensors, fixed=False, nominal=True, derived=True), said
+    return replace(rig, sensors=sensors, fixed=False, nominal=True, derived=True), said, bool(few)
 
 
 def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
