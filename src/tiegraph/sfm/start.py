@@ -186,7 +186,8 @@ def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection
 
 def rig_of_poses(scene: Scene, index: int, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
     """The rig with the extrinsics of the poses, averaged over the frames; a sensor that no frame shows together with
-    the reference keeps its own extrinsics, in the units of the others.
+    the reference keeps its own extrinsics, in the units of the others. One without extrinsics keeps none: it may not be
+    rigid.
 
     ``max_lever_off``: largest relative deviation of the poses from a given lever arm; beyond it the given one stays.
     """
@@ -196,7 +197,7 @@ def rig_of_poses(scene: Scene, index: int, cam_from_world: np.ndarray, max_lever
     first = np.flatnonzero(known & (scene.sensor == 0))
     reference[scene.frame[first]] = first
     shown: dict[int, np.ndarray] = {}
-    for place in range(1, len(rig.sensors)):
+    for place in (k for k, s in enumerate(rig.sensors) if k and s.sensor_from_rig is not None):
         rows = np.flatnonzero(known & (scene.sensor == place))
         rows = rows[reference[scene.frame[rows]] >= 0]
         if len(rows):
