@@ -10,7 +10,7 @@ import numpy as np
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.gravity import levelled
-from tiegraph.geometry.transforms import robust_umeyama
+from tiegraph.geometry.transforms import level_umeyama, robust_umeyama
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.scene import Scene
 
@@ -29,30 +29,13 @@ def plan_from_world(cam_from_world: np.ndarray, scene: Scene) -> tuple[np.ndarra
     frames, centre = scene.frame[placed], transforms.centre(cam_from_world[placed])
     known = scene.measured_positions()[frames] & scene.metric_positions()
     here, there = transforms.apply(plan, centre)[known], scene.world_from_rig[frames[known], :3, 3]
-    spread = np.linalg.svd(there - there.mean(axis=0), compute_uv=False) if len(there) > _LEAST_POSITIONS else [0, 0]
-    if spread[1] > _WIDE * spread[0]:
-        fit, _ = robust_umeyama(here, there, np.linalg.norm(scene.position_sigma_m[frames[known]], axis=1))
-        return fit.matrix @ plan, fit.scale
-    return _onto_positions(plan, here, there)
-
-
-def _onto_positions(plan: np.ndarray, here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float]:
-    """The plan turned, scaled and shifted so that places (K, 3) come to lie on positions (K, 3) east, north, up."""
-    a, b = here[:, 0] + 1j * here[:, 1], there[:, 0] + 1j * there[:, 1]
-    used = np.ones(len(a), bool)
-    for _ in range(3):  # the half that agrees best decides
-        if used.sum() < _LEAST_POSITIONS or np.ptp(np.abs(a[used] - a[used].mean())) == 0:
-            return plan, 1.0
-        design = np.column_stack([a[used], np.ones(used.sum())])
-        (turn, shift), *_ = np.linalg.lstsq(design, b[used], rcond=None)
-        off = np.abs(turn * a + shift - b)
-        used = off <= max(3 * float(np.median(off)), 1e-9)
-    scale = float(abs(turn))
-    if not scale > 0:
+    if len(here) < _LEAST_POSITIONS or not min(np.ptp(p[:, :2], axis=0).max() for p in (here, there)) > 0:
         return plan, 1.0
-    c, s = turn.real, turn.imag
-    onto = np.array([[c, -s, 0, shift.real], [s, c, 0, shift.imag], [0, 0, scale, 0], [0, 0, 0, 1]])
-    return onto @ plan, scale
+    sigma = np.nan_to_num(scene.position_sigma_m[frames[known]], nan=1.0)
+    spread = np.linalg.svd(there - there.mean(axis=0), compute_uv=False)
+    wide = len(there) > _LEAST_POSITIONS and spread[1] > _WIDE * spread[0]
+    fit, _ = robust_umeyama(here, there, np.linalg.norm(sigma, axis=1)) if wide else level_umeyama(here, there, sigma)
+    return fit.matrix @ plan, fit.scale
 
 
 def path_and_ties(
