@@ -163,7 +163,7 @@ def _of_rig(request: PlanRequest, file: Path, scratch: Path) -> PlanRequest:
         own = next(s for s in sensors if f'name = "{found[1]}"' in s)
         file = scratch / f"{found[1]}.toml"
         file.write_text(head + "[[sensors]]" + own)
-    return replace(request, camera=replace(request.camera, rig=str(file)))
+    return replace(request, camera=request.camera.model_copy(update={"rig": str(file)}))
 
 
 def _rounded(value: float | None) -> float | None:

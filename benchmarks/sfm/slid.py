@@ -34,7 +34,7 @@ import pycolmap  # isort: skip
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import robust_umeyama
 from tiegraph.scene.colmapmodel import image_poses, model_rigs, read_model
-from tiegraph.scene.colmaprows import read_cache
+from tiegraph.scene.colmaprows import read_cache, write_working_copy
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source
@@ -42,7 +42,7 @@ from tiegraph.sfm.mapping import Account, Job, _request
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.placement import explained, leave_out_doubtful
 from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.run import Request, _options, _triangulate, run_mapper, write_working_copy
+from tiegraph.sfm.run import Request, _options, _triangulate, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import Start, place_frames
 from tiegraph.sfm.tuning import Tuning
@@ -135,7 +135,7 @@ class Run:
         request = self.request(poses)
         if self._cache is None:
             working, rigs = self.work / "working.db", {k: self.scene.rigs[k] for k in request.rigs.given}
-            write_working_copy(self.database, working, self.scene, rigs, None, None)
+            write_working_copy(self.database, working, self.scene, rigs, None)
             self._cache = read_cache(working, request.matches.least)
             self._verified = read_verified(self.database, self.scene)
         model = pycolmap.Reconstruction()

@@ -5,7 +5,7 @@ import io
 import math
 import shlex
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 # Control characters (ESC, CR, BEL, NUL), format characters (that turn the direction of writing, or cannot be seen),
@@ -57,6 +57,12 @@ def round_below(value: float) -> float:
     """The largest of 1, 2 and 5 times a power of ten that is not above a value: lengths of scale bars."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(k * power for k in (1, 2, 5) if k * power <= value * 1.0001)
+
+
+def round_above(value: float, series: Sequence[float] = (1, 2, 5, 10)) -> float:
+    """The smallest of a series up to 10, times a power of ten, that is not below a value: intervals."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return float(f"{next(k * power for k in series if k * power >= value * 0.9999):.3g}")
 
 
 def some(texts: Iterable[str], most: int = 4, total: int = 0, joint: str = ", ") -> str:

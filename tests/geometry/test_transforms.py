@@ -16,7 +16,7 @@ from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin, crs_transformer, geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.gravity import UpTuning, levelled, up_vector
 from tiegraph.geometry.stereo import Pinhole, rectify, rectifying_rotation, usable_rays
-from tiegraph.geometry.transforms import Similarity, cross, off_plane, robust_umeyama, umeyama, unit_rays
+from tiegraph.geometry.transforms import Similarity, cross, level_umeyama, off_plane, robust_umeyama, umeyama, unit_rays
 
 vectors = arrays(float, 3, elements=st.floats(-100, 100))
 
@@ -87,6 +87,17 @@ def test_similarities_are_recovered_exactly_and_never_a_mirror():
     assert np.linalg.det(fit.rotation) > 0.99
     with pytest.raises(ValueError, match="at least 3 points, got 2"):
         umeyama(np.zeros((2, 3)), np.zeros((2, 3)))
+
+
+def test_a_level_fit_turns_about_the_vertical_and_gives_wrong_places_little_weight():
+    rng = np.random.default_rng(3)
+    source, turn = rng.uniform(-10, 10, (30, 3)), Rotation.from_euler("z", 130, degrees=True).as_matrix()
+    target = Similarity(2.0, turn, np.array([5.0, -7.0, 3.0]))(source) + rng.normal(0, 0.02, (30, 3))
+    target[:6, :2] += 40.0
+    fit, rms = level_umeyama(source, target, np.full((30, 3), 0.02))
+    np.testing.assert_allclose(fit.translation, [5, -7, 3], atol=0.05)
+    assert transforms.angle_deg(fit.rotation, turn) < 0.1 and fit.rotation[2, 2] == 1.0
+    assert fit.scale == pytest.approx(2.0, abs=0.005) and 0 < rms < 0.1
 
 
 def test_robust_fit_ignores_gross_errors_and_is_as_good_as_its_noise():

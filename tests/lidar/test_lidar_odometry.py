@@ -143,6 +143,7 @@ def test_what_cannot_be_used_is_said_before_anything_is_written(
         (["--run", str(tmp_path / "norun")], "norun"),
         (["--place", str(tmp_path / "place.json")], "rig_from_lidar"),
         (["--poses", str(tmp_path / "none.json")], "none.json"),
+        (["--near-m", "-1"], "--near-m -1.0: Input should be greater"),
     ):
         assert main(["lidar", str(folder), "-o", str(out), "--columns", *_COLUMNS, *more]) != 0
         assert named in capsys.readouterr().err and not out.exists()

@@ -115,16 +115,15 @@ def test_what_a_survey_costs_grows_with_its_images():
 @pytest.mark.parametrize(
     "arguments, named",
     [
-        (["--focal", "0", "--pixel", "3.45", "--size", "100x100", "--distance", "1"], "--focal 0"),
         ([*PAPER, "--distance", "-1"], "--distance -1"),
         ([*PAPER, "--distance", "1", "--speed", "2"], "without --rate"),
         (["--focal-px", "900", "--size", "1200x900", "--distance", "1", "--overlap", "1"], "--overlap 1"),
+        ([*WALL, "--tie-px", "0"], "--tie-px Input should be greater than 0 (given: 0.0)"),
         (["--focal-px", "900", "--distance", "1"], "--size"),
         (["--size", "1200x900", "--distance", "1"], "--focal"),
         ([*WALL, "--passes", "2"], "--passes 2"),
         ([*WALL, "--outage", "3-4"], "without --gnss"),
         ([*WALL, "--gnss", "0.02", "--outage", "3"], "--outage 3"),
-        ([*WALL, "--relief", "-1"], "--relief -1"),
         ([*WALL, "--distance", "1,2"], "2 are given"),
         (["--rig", "none.toml", "--distance", "1"], "none.toml"),
         ([*WALL, "--shpe", "canal"], "shpe"),

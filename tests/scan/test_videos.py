@@ -29,7 +29,7 @@ from tiegraph.scan.videos.video import (
     take_pictures,
 )
 from tiegraph.scan.videos.videooffset import Film, MotionCurve, films_together, find_offset, motion_curve, offsets_given
-from tiegraph.scan.videos.videotime import VideoClock, read_subtitles, video_clock
+from tiegraph.scan.videos.videotime import VideoClock, by_subtitles, video_clock
 from tiegraph.scene.exif import Exif, Taken, exif_of, read_exif
 from tiegraph.scene.images import find_videos, has_images
 from video_world import Shake, film, pictures
@@ -162,7 +162,7 @@ NEW = """1
 [iso : 100] [focal_len : 240] [latitude: 41.424724] [longitude: -2.234156] [rel_alt: 1.300 abs_alt: 132.860] </font>
 
 2
-00:00:00,100 --> 00:00:00,200
+00:00:00,100 --> 00:00:02,000
 <font size="36">SrtCnt : 2, DiffTime : 100ms
 2024-05-01 12:00:00,874,808
 [iso : 100] [focal_len : 240] [latitude: 41.424730] [longtitude: -2.234166] [altitude: 133.5] </font>
@@ -261,13 +261,15 @@ def test_what_is_written_is_read_again(tmp_path: Path, taken: Taken) -> None:
 )  # fmt: skip
 def test_each_form_of_a_drones_subtitles(tmp_path: Path, text: str, start: str, place: tuple, later: tuple) -> None:
     (tmp_path / "a.SRT").write_text(text)
-    found = read_subtitles(tmp_path / "a.SRT", 5.0)
-    assert found.start_s == pytest.approx(seconds(start) if start else np.nan, abs=1e-6, nan_ok=True)
-    for stamp, expected in ((0.05, place), (5.0, later)):
-        at = found.place(stamp)
+    found = by_subtitles(tmp_path / "a.SRT", ScanSettings())
+    assert found.start_s == pytest.approx(seconds(start) if start else 0.0, abs=1e-6) and found.known == bool(start)
+    begin, end = found.places.stamp_s[-2:]
+    middle = np.mean([place, later], axis=0)
+    for stamp, expected in ((0.0, place), (begin / 2, middle), (begin, later), (end, later), (end + 0.1, [np.nan] * 3)):
+        at = found.places.place(stamp)
         assert (at.lat_deg, at.lon_deg, at.height_m) == pytest.approx(expected, nan_ok=True)
     coarse = text in (OLD, MATRICE, DATELESS)  # four decimals: 11 m
-    assert found.sigma_m == pytest.approx(np.hypot(5.0, 11.132) if coarse else np.nan, nan_ok=True)
+    assert found.places.sigma_m == pytest.approx(np.hypot(5.0, 11.132) if coarse else np.nan, nan_ok=True)
 
 
 def test_subtitles_beside_a_video_come_first_and_others_are_said(tmp_path: Path) -> None:

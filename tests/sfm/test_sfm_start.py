@@ -18,19 +18,11 @@ from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES, image_poses
+from tiegraph.scene.colmaprows import write_working_copy
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.run import (
-    MappingResult,
-    Method,
-    Request,
-    RigsUsed,
-    contradicted,
-    refusal,
-    run_mapper,
-    write_working_copy,
-)
+from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, contradicted, refusal, run_mapper
 from tiegraph.sfm.start import StartCheck, check_start, length_of_path, rig_of_poses, start_from, start_told
 from tiegraph.sfm.tuning import StartCheckTuning, Tuning
 from tiegraph.sfm.tuning.placement import StagedTuning, StartTuning

@@ -29,9 +29,8 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
 from tiegraph.scan.rigfiles.rigspec import write_rig_toml
 from tiegraph.scene.pairs import PreviewMatches
-from tiegraph.watch.frames import Arrivals, Known, place_frames
+from tiegraph.watch.onsite import Arrivals, Known, page, path_and_ties, place_frames, plan_from_world
 from tiegraph.watch.tuning import ArrivalsTuning, ModelTuning, Tuning
-from tiegraph.watch.view import page, path_and_ties, plan_from_world
 
 SETTLED = ArrivalsTuning(settled_s=0.6, again_s=5.0, tries=3)
 

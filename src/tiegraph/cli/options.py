@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import tyro
+from pydantic import ValidationError
 
 from tiegraph.cli.verbs import HELP, HELP_ALL
 from tiegraph.errors import SettingsError
@@ -30,8 +31,9 @@ class Talk:
 
 _FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
 _SHOWN = 300
-_SAID = (  # what pydantic and tyro say, and what is shown
+_SAID: tuple[tuple[str, Any], ...] = (  # what pydantic and tyro say, and what is shown
     (r" For further information visit \S+", ""),
+    (r"Error parsing request\.\w+: \d+ validation errors? for \w+ (\w+)", lambda m: "--" + m[1].replace("_", "-")),
     (r"Error parsing (?:settings\.)?([\w.]+): \d+ validation errors? for \w+ ", r"\1."),
     (r" \[type=\w+, input_value=(.*?), input_type=\w+\]", r" (given: \1)"),
     (r"Value error, ", ""),
@@ -54,7 +56,15 @@ def options_of(
     except SystemExit as stop:
         if not stop.code:  # --help
             raise
-    raise SettingsError(f"{_one_line(said.getvalue())} (`{program} {page}` lists all options)")
+        text = _one_line(said.getvalue())
+    except ValidationError as error:  # of settings that stand among the options
+        text = "; ".join(map(_wrong, error.errors()))
+    raise SettingsError(f"{text} (`{program} {page}` lists all options)")
+
+
+def _wrong(error: Any) -> str:
+    name = "-".join(str(part) for part in error["loc"]).replace("_", "-")
+    return f"--{name} {error['input']}: {error['msg'].removeprefix('Value error, ')}"
 
 
 def _one_line(box: str) -> str:

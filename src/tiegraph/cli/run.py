@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field, create_model
 
 from tiegraph import forking
 from tiegraph.api import Project, open_project
@@ -169,11 +169,8 @@ def _parsed(
     ) -> tuple[Path, Common, Section]:
         return folder, options, settings
 
-    try:
-        # Both forms of every flag: its default is what the folder was run with, and the same must run again.
-        path, options, given = options_of(verb, program, arguments, page=HELP_ALL, description=about)
-    except ValidationError as error:
-        raise SettingsError("; ".join(_said(error.title, e) for e in error.errors())) from None
+    # Both forms of every flag: its default is what the folder was run with, and the same must run again.
+    path, options, given = options_of(verb, program, arguments, page=HELP_ALL, description=about)
     return path, options, before.model_copy(update={n: getattr(given, n) for n in sections})
 
 
@@ -189,13 +186,6 @@ def finish(project: Project, until: str | None, options: Common) -> int:
     reporter.say(f"report: {report}" if until is None and report.exists() else f"results: {project.folder}")
     reporter.event("done", folder=str(project.folder), report=str(report) if report.exists() else None)
     return 3 if options.strict and project.doubtful(until) else 0
-
-
-def _said(title: str, error: Any) -> str:
-    section = title.removesuffix("Settings").lower()
-    name = ".".join(str(part) for part in (section, *error["loc"]))
-    value = f" = {error.get('input')!r}" if error["loc"] else ""  # else it is the whole section
-    return f"setting {name}{value}: {error['msg'].removeprefix('Value error, ')}"
 
 
 def preparsed(arguments: list[str]) -> tuple[Path | None, RunOptions]:

@@ -11,11 +11,12 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array, eye_array
+from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from tiegraph.design.tuning import NetTuning
+from tiegraph.scene.graph import symmetric
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.sorting import BLOCK, blocks, spread, unite
 
@@ -156,8 +157,8 @@ class Tracks:
         """Propagate the tracks joined by unseen pairs to the pairs beside them."""
         c, n = self.candidates, self.candidates.images
         self.extra[places] += new
-        v = _symmetric(c.i[places], c.j[places], new, n)
-        both = joint + _symmetric(c.i, c.j, self.extra, n)
+        v = symmetric(c.i[places], c.j[places], new, n)
+        both = joint + symmetric(c.i, c.j, self.extra, n)
         share = diags_array(1.0 / np.maximum(self.features, 1.0)) @ both
         share.data = np.minimum(share.data, 1.0)
         carried = csr_array(v @ share)
@@ -208,11 +209,6 @@ class Tracks:
         return self._joint
 
 
-def _symmetric(i: np.ndarray, j: np.ndarray, value: np.ndarray, n: int) -> csr_array:
-    row, column = np.concatenate([i, j]), np.concatenate([j, i])
-    return coo_array((np.tile(value, 2), (row, column)), shape=(n, n)).tocsr()
-
-
 def entries(matrix: csr_array, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """(K,) entries of a sparse matrix at rows i and columns j (K,), zero where it has none."""
     matrix.sum_duplicates()
@@ -226,7 +222,7 @@ def laplacian(i: np.ndarray, j: np.ndarray, weight: np.ndarray, nodes: int) -> c
     """(n, n) Laplacian of weighted links i, j (K,); links of a node with itself do not count."""
     weight = np.where(i == j, 0.0, weight)
     degree = np.bincount(i, weight, nodes) + np.bincount(j, weight, nodes)
-    return csr_array(_symmetric(i, j, -weight, nodes) + diags_array(degree))
+    return csr_array(symmetric(i, j, -weight, nodes) + diags_array(degree))
 
 
 def of_tracks(seen: csr_array) -> csr_array:

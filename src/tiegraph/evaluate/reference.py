@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate.trajectory import PoseMatch
@@ -213,10 +214,8 @@ def _with_mount(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
         return estimate
     fit = umeyama(estimate[:, :3, 3], reference[:, :3, 3])
     turned = fit.rotation @ estimate[:, :3, :3]
-    # M: chordal mean of (R_align R_est)^T R_ref
-    u, _, vt = np.linalg.svd(np.sum(np.swapaxes(turned, 1, 2) @ reference[:, :3, :3], axis=0))
-    mount = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    return transforms.rigid(estimate[:, :3, :3] @ mount, estimate[:, :3, 3])
+    mount = Rotation.from_matrix(np.swapaxes(turned, 1, 2) @ reference[:, :3, :3]).mean()  # of (R_align R_est)^T R_ref
+    return transforms.rigid(estimate[:, :3, :3] @ mount.as_matrix(), estimate[:, :3, 3])
 
 
 def to_world(points: np.ndarray, source: Origin, world: Origin) -> np.ndarray:
@@ -231,8 +230,6 @@ def to_world(points: np.ndarray, source: Origin, world: Origin) -> np.ndarray:
 def poses_to_world(match: PoseMatch, source: Origin, world: Origin) -> PoseMatch:
     """The reference poses of a match in the run's world: positions exact, axes turned as the two frames differ."""
     positions = match.reference[:, :3, 3]
-    at = positions.mean(axis=0)
-    corner = to_world(np.vstack([at, at + np.eye(3)]), source, world)
-    u, _, vt = np.linalg.svd((corner[1:] - corner[0]).T)
-    turned = (u @ vt) @ match.reference[:, :3, :3]
+    corner = positions.mean(axis=0) + np.vstack([np.zeros(3), np.eye(3)])
+    turned = umeyama(corner, to_world(corner, source, world)).rotation @ match.reference[:, :3, :3]
     return replace(match, reference=transforms.rigid(turned, to_world(positions, source, world)))

@@ -286,6 +286,23 @@ def robust_umeyama(source: np.ndarray, target: np.ndarray, sigma: np.ndarray | f
     return umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2), inliers
 
 
+def level_umeyama(source: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[Similarity, float]:
+    """Similarity that keeps z up and takes source (N, 3) to target (N, 3) with sigmas (N, 3), and the weighted rms in
+    plan: reweighted least squares with Cauchy weights in plan, then the weighted mean in height."""
+    flat, goal = source[:, 0] + 1j * source[:, 1], target[:, 0] + 1j * target[:, 1]
+    weight = 1 / sigma[:, 0] ** 2
+    for _ in range(20):
+        s0, g0 = np.average(flat, weights=weight), np.average(goal, weights=weight)
+        a = np.sum(weight * np.conj(flat - s0) * (goal - g0)) / np.sum(weight * np.abs(flat - s0) ** 2)
+        residual = np.abs(goal - g0 - a * (flat - s0))
+        weight = 1 / (sigma[:, 0] ** 2 + residual**2)
+    scale, shift = float(np.abs(a)), g0 - a * s0
+    height = np.average(target[:, 2] - scale * source[:, 2], weights=1 / sigma[:, 2] ** 2)
+    rms = float(np.sqrt(np.average(residual**2, weights=weight)))
+    turn = Rotation.from_rotvec([0.0, 0.0, float(np.angle(a))]).as_matrix()
+    return Similarity(scale, turn, np.array([shift.real, shift.imag, height])), rms
+
+
 def l1_mean_rotation(rotations: np.ndarray) -> np.ndarray:
     """Geodesic L1 mean (3, 3) of rotations (K, 3, 3): Weiszfeld's algorithm (Hartley, Aftab, Trumpf 2011).
 

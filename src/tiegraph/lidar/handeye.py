@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -41,6 +41,19 @@ class Poses(Columns):
     time_s: np.ndarray
     poses: np.ndarray
     group: np.ndarray
+
+    @property
+    def interval(self) -> float:
+        """The usual time between two poses, s."""
+        return float(np.median(np.diff(self.time_s)))
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """(K, 4, 4) poses at times (K,), s; NaN outside its own."""
+        return transforms.interpolate(self.time_s, self.poses, time_s)
+
+    def inside(self, time_s: np.ndarray) -> np.ndarray:
+        """(K,) bool: times (K,), s, that it covers."""
+        return (time_s >= self.time_s[0]) & (time_s <= self.time_s[-1])
 
 
 @dataclass(frozen=True)
@@ -102,15 +115,14 @@ def hand_eye(
 def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie) -> HandEye:
     """The LiDAR's place on the rig at all frames by a tie of the two worlds; unchanged where the tie tells less than
     the motion does, or contradicts it."""
-    path = _Path(lidar)
-    frames = rig.where(path.inside(rig.time_s + found.clock_s))
-    there = path(frames.time_s + found.clock_s)
+    frames = rig.where(lidar.inside(rig.time_s + found.clock_s))
+    there = lidar.at(frames.time_s + found.clock_s)
     world = tie.lidar_from_run
     placed = transforms.rigid(world.rotation @ frames.poses[:, :3, :3], world(frames.poses[:, :3, 3]))
     each = transforms.invert(placed) @ there
     turn, place = l1_mean_rotation(each[:, :3, :3]), np.median(each[:, :3, 3], axis=0)
-    ahead = path(frames.time_s + found.clock_s + path.interval)
-    speed = np.linalg.norm(np.nanmean(ahead[:, :3, 3] - there[:, :3, 3], axis=0)) / path.interval
+    ahead = lidar.at(frames.time_s + found.clock_s + lidar.interval)
+    speed = np.linalg.norm(np.nanmean(ahead[:, :3, 3] - there[:, :3, 3], axis=0)) / lidar.interval
     alike = np.sqrt(len(each))
     scatter = MAD * np.median(np.abs(each[:, :3, 3] - place), axis=0) / alike
     late = 0.0 if np.isnan(found.clock_sigma_s) else float(speed * found.clock_sigma_s)
@@ -135,8 +147,7 @@ def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie) -> HandEye:
 
 def rig_in_lidar_world(lidar: Poses, time_s: np.ndarray, found: HandEye) -> np.ndarray:
     """(F, 4, 4) poses of the rig at frames' times (F,) by the LiDAR, in its world; NaN outside its times."""
-    at = _Path(lidar)(time_s + found.clock_s)
-    return at @ transforms.invert(found.rig_from_lidar)
+    return lidar.at(time_s + found.clock_s) @ transforms.invert(found.rig_from_lidar)
 
 
 def lidar_from_run(rig: Poses, by_lidar: np.ndarray, scale: float) -> Similarity:
@@ -146,32 +157,12 @@ def lidar_from_run(rig: Poses, by_lidar: np.ndarray, scale: float) -> Similarity
     return Similarity(scale, rotation, np.median(by_lidar[:, :3, 3] - moved, axis=0))
 
 
-class _Path:
-    """Poses at any time: slerp and straight lines."""
-
-    def __init__(self, poses: Poses) -> None:
-        self.start, self.end = float(poses.time_s[0]), float(poses.time_s[-1])
-        self.interval = float(np.median(np.diff(poses.time_s)))
-        self._time, self._places = poses.time_s, poses.poses[:, :3, 3]
-        self._turns = Slerp(poses.time_s, Rotation.from_matrix(poses.poses[:, :3, :3]))
-
-    def inside(self, time_s: np.ndarray) -> np.ndarray:
-        return (time_s >= self.start) & (time_s <= self.end)
-
-    def __call__(self, time_s: np.ndarray) -> np.ndarray:
-        at = np.clip(time_s, self.start, self.end)
-        place = np.stack([np.interp(at, self._time, self._places[:, k]) for k in range(3)], axis=1)
-        out = transforms.rigid(self._turns(at).as_matrix(), place)
-        out[~self.inside(time_s)] = np.nan
-        return out
-
-
 class _Problem:
     """Relative motions of both sides, and what is known of them."""
 
     def __init__(self, rig: Poses, lidar: Poses, rig_from_lidar: np.ndarray | None, clock_s: float | None) -> None:
         self.rig, self.rig_from_lidar, self.clock_s = rig, rig_from_lidar, clock_s
-        self.path = _Path(lidar)
+        self.path = lidar
         self.sigma = np.radians(0.05), 0.01  # a first guess; then they are measured by the residuals
         self.free = np.ones(8, bool)
         self.free[:6] = rig_from_lidar is None
@@ -196,8 +187,7 @@ class _Problem:
         return len(rows) >= _LEAST_FRAMES and len(self.first) >= _LEAST_FRAMES - 1
 
     def _moved(self, clock_s: float) -> np.ndarray:
-        at = np.clip(self.rig.time_s + clock_s, self.path.start, self.path.end)
-        poses = self.path(at)
+        poses = self.path.at(np.clip(self.rig.time_s + clock_s, *self.path.time_s[[0, -1]]))
         return transforms.invert(poses[self.first]) @ poses[self.last]
 
     def residuals(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,10 +223,10 @@ class _Problem:
             if self._pairs(float(values[_CLOCK]), all_kept):
                 refined.append((cost, clock, values))
         if not refined:
-            start, end = self.rig.time_s.min(), self.rig.time_s.max()
+            (start, end), (first, last) = ((p.time_s.min(), p.time_s.max()) for p in (self.rig, self.path))
             raise InputError(
-                f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {self.path.start:.3f} to "
-                f"{self.path.end:.3f} s, have less than {_LEAST_FRAMES} frames in common, with an offset of up "
+                f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {first:.3f} to "
+                f"{last:.3f} s, have less than {_LEAST_FRAMES} frames in common, with an offset of up "
                 f"to {_SEARCH_S:g} s: give what is to be added to the frames' times by --clock-s"
             )
         best = min(refined, key=lambda s: s[:2])

@@ -10,13 +10,13 @@ from functools import partial
 import cv2
 import numpy as np
 import pycolmap
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order
 
 from tiegraph.design.design import DesignResult
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import options_of, rigid3d
-from tiegraph.scene.graph import cheapest_cut, forest, parts
+from tiegraph.scene.graph import cheapest_cut, forest, parts, symmetric
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
@@ -121,7 +121,7 @@ def _minimum_cut(pairs: Pairs, kept: np.ndarray, capacity: np.ndarray, nodes: np
     degree = np.bincount(a, capacity[rows], n) + np.bincount(b, capacity[rows], n)
     # Scipy's maximum flow counts in 32 bit integers
     whole = np.maximum(np.rint(capacity[rows] * (2.0e9 / max(float(degree.max(initial=0.0)), 1e-300))), 1)
-    graph = coo_array((np.tile(whole, 2), (np.r_[a, b], np.r_[b, a])), shape=(n, n)).tocsr()
+    graph = symmetric(a, b, whole, n)
     graph = csr_array((graph.data.astype(np.int32), graph.indices, graph.indptr), shape=(n, n))
     if n - 1 not in breadth_first_order(graph, 0, return_predecessors=False):
         return np.zeros(len(pairs), bool)  # apart already

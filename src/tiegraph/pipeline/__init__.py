@@ -47,7 +47,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=13,
+    _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=14,
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=13),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),

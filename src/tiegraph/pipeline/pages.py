@@ -29,7 +29,7 @@ from PIL import Image
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.pipeline.files import CLOUD
 from tiegraph.pipeline.mark import ChangedMeanwhile
-from tiegraph.watch.view import page
+from tiegraph.watch.onsite import page
 
 _PATCH_PX, _MOST_PATCH_PX, _MOST_WIDTH_PX = 120, 2048, 2048
 HTML, _TEXT, _BYTES = "text/html; charset=utf-8", "text/plain; charset=utf-8", "application/octet-stream"

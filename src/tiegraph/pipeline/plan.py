@@ -63,8 +63,8 @@ def plan(request: PlanRequest, tunings: VerbTunings | None = None) -> Plan:
     if out is not None:
         must_be_new(out)
     tunings = tunings or VerbTunings()
-    rigged, given = _cameras(request.camera, tunings.scan), request.camera.calibration()
-    propagate = partial(_propagate, rigged=rigged, calibration_px=given, tuning=tunings.sfm)
+    rigged = _cameras(request.camera, tunings.scan)
+    propagate = partial(_propagate, rigged=rigged, calibration_px=request.camera.calibration_px, tuning=tunings.sfm)
     made = make_plan(request, rigged, propagate, FeaturesSettings().max_features)
     if out is not None:
         for name, data in made.files().items():

@@ -35,9 +35,8 @@ from tiegraph.scene.names import clean_names
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.watch.frames import Arrivals, Known, place_frames
+from tiegraph.watch.onsite import Arrivals, Known, page, place_frames
 from tiegraph.watch.tuning import Tuning
-from tiegraph.watch.view import page
 
 KEPT, PAGE = "watch.npz", "watch.html"
 _BATCH = 8  # images of a step: a full folder already shows its first poses soon

@@ -33,8 +33,7 @@ from tiegraph.scene.graph import strongest_pairs
 from tiegraph.scene.pairs import Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.watch.frames import LEAST_POINTS
-from tiegraph.watch.view import path_and_ties, plan_from_world, rounded
+from tiegraph.watch.onsite import LEAST_POINTS, path_and_ties, plan_from_world, rounded
 
 _INLIER_SMALL_PX = 3.0  # distance of an inlier in pixels of the reduced image
 _LOOK_ALIKES = 4  # of an image, matched before a model: what order does not tell of, loops and loose photographs

@@ -66,11 +66,11 @@ class Wanted:
     exposure_s: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("base_m", "precision_m", "match_px", "speed_m_s", "rate_hz", "exposure_s"):
-            if (value := getattr(self, name)) is not None:
-                above_zero(_OPTIONS.get(name, name.rpartition("_")[0]), value, "a number, or leave it away")
-        if self.overlap is not None:
-            check_overlap("overlap", self.overlap)
+        if self.base_m is not None:
+            above_zero("base", self.base_m, "a number, or leave it away")
+        if self.overlap is not None and not 0 <= self.overlap < 1:
+            said = "an overlap is a share from 0 to below 1, such as 0.8; at 1 no frame is new"
+            raise InputError(f"--overlap {self.overlap:g}: {said}")
         for name, value, other in (("speed", self.speed_m_s, "rate"), ("rate", self.rate_hz, "speed")):
             if value is not None and None in (self.speed_m_s, self.rate_hz):
                 raise InputError(f"--{name} {value:g} without --{other}: both together say how far frames are apart")
@@ -85,20 +85,10 @@ class Wanted:
         return self.speed_m_s / self.rate_hz
 
 
-_OPTIONS = {"match_px": "match-px", "speed_m_s": "speed"}
-
-
-def above_zero(option: str, value: float, what: str = "a number") -> None:
+def above_zero(option: str, value: float, what: str) -> None:
     """Raises InputError for the value of an option that is not finite and above zero."""
     if not (np.isfinite(value) and value > 0):
         raise InputError(f"--{option} {value:g} is not above zero: give {what}")
-
-
-def check_overlap(name: str, value: float) -> None:
-    """Raises InputError unless it is a share."""
-    if not 0 <= value < 1:
-        said = "an overlap is a share from 0 to below 1, such as 0.8; at 1 no frame is new"
-        raise InputError(f"--{name} {value:g}: {said}")
 
 
 def station(lens: Lens, distance_m: float, wanted: Wanted) -> Station:

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError, choose
 from tiegraph.geometry.geodesy import Origin, crs_coordinates, geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
-from tiegraph.plan.figures import above_zero
 from tiegraph.text import csv_text
 
 _PASSES_APART = 0.3  # ways out and back, in parts of the distance to the wall: one keeps to the right
@@ -87,8 +86,6 @@ class Path:
 def make_path(course: Course) -> Path:
     """The frames and the surface of a shape. Raises SettingsError for an unknown shape, InputError for sizes."""
     shape: Callable[[Course], Path] = choose("shape", course.shape, SHAPES)  # type: ignore[assignment]
-    for name in ("length", "width", "height"):
-        above_zero(name, getattr(course, f"{name}_m"), "metres")
     path = shape(course)
     if len(path) < 3:
         raise InputError(

@@ -100,7 +100,7 @@ def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, 
     asked, world, made = request.path, request.world, plan.stations[0]
     if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in WAYS):
         raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(WAYS)}; other shapes have rows or rings")
-    world.check()
+    world.positions()  # what is wrong with them is said before the work
     anchor = None if world.origin is None else read_anchor(world.origin, world.heading)
     across = made.footprint_m[1 - plan.lens.along]
     course = Course(
@@ -118,8 +118,6 @@ def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, 
     # behind quays and parked cars (canal: 0.25).
     uneven = 0.25 if asked.shape in ("canal", "road") else 0.1
     relief = uneven * made.distance_m if asked.relief is None else asked.relief
-    if not relief >= 0:
-        raise InputError(f"--relief {relief:g}: give metres, zero or more")
     path = make_path(course)
     found = plan_path(path, rigged.cameras, by, world, relief)
     sizes = [(c.camera.width, c.camera.height) for c in rigged.cameras]

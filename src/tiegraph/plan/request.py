@@ -1,24 +1,21 @@
 """What a user says of a survey: the options of `tiegraph plan`, in groups, and what they mean."""
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
+from pydantic import Field
 
 from tiegraph.errors import InputError
-from tiegraph.plan.figures import Wanted, above_zero, check_overlap
+from tiegraph.plan.figures import Wanted
+from tiegraph.settings import Section
 
-# A lens held as a file gives it, used away from where it was calibrated: a vehicle's is half a pixel off (KITTI 0.65,
-# the one vehicle measured, rounded); one that came with its photographs 0.05 (Strecha).
-_CALIBRATION_PX = 0.5
 _HEIGHT_FACTOR = 1.5  # sigma of a receiver's height over that of its place, where none is given
 
 
-@dataclass(frozen=True)
-class CameraRequest:
+class CameraRequest(Section):
     """Which cameras."""
 
     rig: str | None = None
@@ -26,25 +23,19 @@ class CameraRequest:
     that it leaves open are those of the options below."""
     size: str | None = None
     """Image size in pixels, such as 2448x2050."""
-    focal: float | None = None
+    focal: float | None = Field(None, gt=0)
     """Focal length in mm, with --pixel or --sensor."""
-    pixel: float | None = None
+    pixel: float | None = Field(None, gt=0)
     """Pixel pitch in micrometres."""
-    sensor: float | None = None
+    sensor: float | None = Field(None, gt=0)
     """Width of the sensor in mm, in place of --pixel."""
-    focal_px: float | None = None
+    focal_px: float | None = Field(None, gt=0)
     """Focal length in pixels, in place of --focal."""
-    calibration_px: float | None = None
+    # Away from where it was calibrated, a vehicle's lens is half a pixel off (KITTI 0.65, the one vehicle measured,
+    # rounded); one that came with its photographs 0.05 (Strecha).
+    calibration_px: float = Field(0.5, ge=0)
     """How well lenses that a rig file gives, and that are held, are known, pixels in the image: 0.05 where they were
-    calibrated with this survey (`tiegraph calibrate` tells it), else half a pixel (default)."""
-
-    def calibration(self) -> float:
-        """Pixels by which lenses that are held are off. Raises InputError for what is no error."""
-        if self.calibration_px is None:
-            return _CALIBRATION_PX
-        if not (math.isfinite(self.calibration_px) and self.calibration_px >= 0):
-            raise InputError(f"--calibration-px {self.calibration_px:g}: give pixels, zero or more, such as 0.05")
-        return self.calibration_px
+    calibrated with this survey (`tiegraph calibrate` tells it), else half a pixel."""
 
     def image_size(self) -> tuple[int, int] | None:
         """Width and height, pixels; None = not said. Raises InputError for what is no size."""
@@ -60,9 +51,6 @@ class CameraRequest:
 
     def focal_length_px(self) -> float | None:
         """Focal length in pixels, None = not said. Raises InputError for values that make none."""
-        for name in ("focal", "pixel", "sensor", "focal_px"):
-            if (value := getattr(self, name)) is not None:
-                above_zero(name.replace("_", "-"), value)
         if self.focal_px is not None and self.focal is not None:
             raise InputError("--focal and --focal-px say the same: give one of them")
         if self.focal_px is not None or self.focal is None:
@@ -77,8 +65,7 @@ class CameraRequest:
         return self.focal * size[0] / self.sensor
 
 
-@dataclass(frozen=True)
-class ImageRequest:
+class ImageRequest(Section):
     """What the images shall give, and how they are taken. Lists such as 0.5,0.7,1.0 are a sweep."""
 
     distance: str | None = None
@@ -87,22 +74,21 @@ class ImageRequest:
     """Way between two images, or base of a rig, metres; else by --speed and --rate, else by --overlap."""
     overlap: str | None = None
     """Of images along the way, 0 to below 1 (default 0.8 where nothing says how far images are apart)."""
-    sidelap: float = 0.6
+    sidelap: float = Field(0.6, ge=0, lt=1)
     """Of rows or lines, 0 to below 1."""
-    precision: float | None = None
+    precision: float | None = Field(None, gt=0)
     """Sigma of a depth that is wanted, metres."""
-    match_px: float = 0.3
+    match_px: float = Field(0.3, gt=0)
     """Sigma of a disparity, pixels (paper 004: 0.2 to 0.3)."""
-    speed: float | None = None
+    speed: float | None = Field(None, gt=0)
     """Metres a second; with --rate."""
-    rate: float | None = None
+    rate: float | None = Field(None, gt=0)
     """Frames a second."""
-    exposure: float | None = None
+    exposure: float | None = Field(None, gt=0)
     """Milliseconds."""
 
     def wanted(self, base: float | None, overlap: float | None) -> Wanted:
         """What is asked of one station of a sweep. Raises InputError for values that are none."""
-        check_overlap("sidelap", self.sidelap)
         asked = Wanted(
             base_m=base,
             overlap=overlap,
@@ -122,19 +108,18 @@ class ImageRequest:
         return found
 
 
-@dataclass(frozen=True)
-class PathRequest:
+class PathRequest(Section):
     """A whole path. Shapes: canal (out and back between two walls), road, corridor, tunnel, facade, grid, orbit."""
 
     shape: str | None = None
     """Shape of the path; without one there is only the table of distances."""
-    length: float = 100.0
+    length: float = Field(100.0, gt=0)
     """Of the way, of a facade, of the lines of a grid, metres."""
-    width: float | None = None
+    width: float | None = Field(None, gt=0)
     """Of a grid across its lines, of the object that is orbited, metres (default: length)."""
-    height: float | None = None
+    height: float | None = Field(None, gt=0)
     """Of walls, facade, corridor or object, metres (default: twice the distance)."""
-    relief: float | None = None
+    relief: float | None = Field(None, ge=0)
     """How much the surface is uneven, sigma, metres: houses behind a quay, columns of a facade, forest (default: a
     tenth of the distance, of canal and road a quarter)."""
     passes: int | None = None
@@ -145,36 +130,25 @@ class PathRequest:
     """Likewise, up; an orbit that looks down stands higher, round the same middle."""
 
 
-@dataclass(frozen=True)
-class WorldRequest:
+class WorldRequest(Section):
     """Tie points, and what places the path in the world."""
 
     gnss: str | None = None
     """Sigma of positions in plan, or plan,height, metres: 0.02,0.03."""
     outage: tuple[str, ...] = ()
     """Stretches without positions, FROM-TO, metres from the start of the way: 25-33."""
-    control: int = 0
+    control: int = Field(0, ge=0)
     """Control points, evenly along the path."""
-    control_sigma: float = 0.01
+    control_sigma: float = Field(0.01, gt=0)
     """Of each of their coordinates, metres."""
-    tie_px: float = 0.2
+    tie_px: float = Field(0.2, gt=0)
     """Sigma of a tie point in an image, pixels (measured: 0.13 to 0.34)."""
-    ties: float | None = None
+    ties: float | None = Field(None, ge=1)
     """Tie points that an image sees, from a survey before (default: by its pixels)."""
     origin: str | None = None
     """Where the path starts, LAT,LON or LAT,LON,HEIGHT: for waypoints on the Earth."""
     heading: float = 90.0
     """Direction of the first way there, degrees clockwise from north."""
-
-    def check(self) -> None:
-        """Raise InputError for values that are none."""
-        self.positions()
-        above_zero("tie-px", self.tie_px, "the sigma of a tie point in an image")
-        above_zero("control-sigma", self.control_sigma, "metres")
-        if self.ties is not None and not self.ties >= 1:
-            raise InputError(f"--ties {self.ties:g}: give the tie points that an image sees, 1 or more")
-        if self.control < 0:
-            raise InputError(f"--control {self.control}: give how many control points there are")
 
     def positions(self) -> tuple[np.ndarray, list[tuple[float, float]]] | None:
         """Sigmas (3,) of a receiver's positions, metres, and the stretches (from, to), metres from the start, without

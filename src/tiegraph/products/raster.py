@@ -18,9 +18,10 @@ from rasterio.windows import Window as Part
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import ENU, Origin, parse_crs
 from tiegraph.limits import need_room
-from tiegraph.products.surface import MAP, NODATA, Surface, Window, rounded_up
+from tiegraph.products.surface import MAP, NODATA, Surface, Window
 from tiegraph.products.terrain import Line
 from tiegraph.scene.atomic import remove, replacing
+from tiegraph.text import round_above
 
 _BLOCK = 512  # pixels along the edge of a block of the file
 _OVER_RAW = 1.5  # a file with its overviews takes so many times the bytes of its pixels at most
@@ -192,7 +193,7 @@ def overview(path: Path, width: int, unit: str) -> bytes:
     rgba, to_file = averages(path, width)
     pixel, columns = to_file.a, rgba.shape[2]
     strip = np.full((_BAR, columns, 3), 255, np.uint8)
-    length = rounded_up(columns * pixel / 10, (1, 2, 5, 10))
+    length = round_above(columns * pixel / 10)
     cv2.rectangle(strip, (4, 8), (4 + round(length / pixel), 12), _INK, cv2.FILLED)
     _write(strip, f"{length:g} {unit}", np.array([4 + round(length / pixel / 2), 30]))
     return _jpeg(np.concatenate([np.rint(255 + (rgba[2::-1] - 255) * rgba[3] / 255).transpose(1, 2, 0), strip]))

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from tiegraph.errors import ReconstructionError
@@ -19,8 +17,10 @@ from tiegraph.products import frame as curved
 from tiegraph.products.frame import Frame
 from tiegraph.products.settings import ProductsSettings
 from tiegraph.products.tuning import ChooseTuning
+from tiegraph.scene.graph import parts
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import evenly
+from tiegraph.text import round_above
 
 NODATA = -9999.0
 MAP, UNDERSIDE = "map", "underside"
@@ -144,12 +144,6 @@ def project(camera: Pinhole, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return x, y, z
 
 
-def rounded_up(size: float, series: Sequence[float]) -> float:
-    """The smallest of a series up to 10, times a power of ten, that is not below a size."""
-    power = 10.0 ** np.floor(np.log10(size))
-    return float(f"{next(k * power for k in series if k * power >= size * 0.9999):.3g}")
-
-
 # --- the choice -------------------------------------------------------------------------------------------------------
 
 
@@ -259,11 +253,10 @@ def undersides(survey: Survey, tuning: ChooseTuning) -> list[Surface]:
     own, size = xyz[hangs], np.median(high[hangs])
     cells, of = np.unique(np.floor(own[:, :2] / size), axis=0, return_inverse=True)
     tree = cKDTree(cells)
-    ties = tree.query_pairs(1, p=np.inf, output_type="ndarray")
-    graph = sparse.coo_matrix((np.ones(len(ties)), ties.T), (len(cells), len(cells)))
-    parts = np.append(csgraph.connected_components(graph, directed=False)[1], -1)  # -1: of places without a cell
+    one, other = tree.query_pairs(1, p=np.inf, output_type="ndarray").T
+    joined = parts(one, other, len(cells))
     below = tree.query(np.floor(cameras[:, :2] / size), distance_upper_bound=0.5)[1]
-    part, passed = parts[of.ravel()], parts[below]
+    part, passed = joined[of.ravel()], np.append(joined, -1)[below]  # -1: of places without a cell
     count = np.bincount(part)
     found = []
     for k in sorted(set(passed[passed >= 0]), key=lambda k: -count[k]):
@@ -374,7 +367,7 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     for view in survey.views:
         sizes = np.fmin(sizes, project(view, own)[2] / view.focal)
     gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
-    pixel = settings.pixel_m or rounded_up(max(gsd, survey.spacing / 2), _SERIES)
+    pixel = settings.pixel_m or round_above(max(gsd, survey.spacing / 2), _SERIES)
     near = sizes <= tuning.coarsest * pixel
     uv = surface.frame.uvw(own[near] if near.any() else own)[:, :2]
     low, high = np.transpose([_ends(values) for values in uv.T])

@@ -21,15 +21,15 @@ from contourpy import contour_generator
 from scipy import ndimage
 
 from tiegraph.products.heights import filled, planes
-from tiegraph.products.surface import Surface, Window, rounded_up
+from tiegraph.products.surface import Surface, Window
 from tiegraph.products.tuning import ContourTuning, TerrainTuning
 from tiegraph.scene.results import APART_SIGMAS, Cloud
+from tiegraph.text import round_above
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
 _JOINED = 2  # cells; twice that is a gap that is closed
 _EVEN = 2.0  # cells over which interpolated terrain is smoothed: where holes of two sizes meet it steps
-_SERIES = (1.0, 2.0, 5.0, 10.0)  # of intervals of contour lines
 _INDEX = 5  # every so many lines one is an index line, drawn thick
 _TAILS = 0.002  # share of the heights at either end that is no relief
 _FADE = 0.01  # share of a full window of pixels at which the offset of the ground counts half
@@ -226,7 +226,7 @@ def equidistance(w: np.ndarray, sigma: np.ndarray, tuning: ContourTuning) -> flo
         return 0.0
     low, high = np.quantile(w[known], [_TAILS, 1 - _TAILS])
     least = max((high - low) / tuning.most_lines, tuning.sigmas * float(np.median(sigma[known])), 1e-3)
-    return rounded_up(least, _SERIES)
+    return round_above(least)
 
 
 def contour_lines(

@@ -16,7 +16,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from tiegraph.scene.decoding import read_pixels
-from tiegraph.text import printable
+from tiegraph.text import printable, round_above
 
 WIDTH = 420.0
 USED, LIGHT, ALERT = "var(--used)", "var(--light)", "var(--alert)"
@@ -128,9 +128,7 @@ def ticks(low: float, high: float, most: int = 5, whole: bool = False) -> list[f
     """Round values between two, at most about ``most``."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return []
-    raw = (high - low) / most
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(k * power for k in (1, 2, 5, 10) if k * power >= raw * 0.999)
+    step = round_above((high - low) / most)
     step = max(step, 1.0) if whole else step
     return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 

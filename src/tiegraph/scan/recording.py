@@ -56,11 +56,12 @@ class Readings(Columns):
 
 @dataclass(frozen=True)
 class Fixes:
-    """Positions of the receiver at stamps of the video, increasing; height NaN = not known."""
+    """Positions of the receiver at stamps of the video, increasing; NaN = not known."""
 
     stamp_s: np.ndarray  # (R,)
     lat_lon_height: np.ndarray  # (R, 3) degrees, m
     max_gap_s: float
+    sigma_m: float = float("nan")  # NaN = the default of a receiver
 
     def place(self, stamp_s: float) -> Taken:
         """Position of the frame with a stamp: interpolated between the neighbouring fixes, if they are close enough
@@ -74,7 +75,7 @@ class Fixes:
         lat, lon, height = self.lat_lon_height[rows].T
         around = np.unwrap(lon, period=360)  # the shorter way round
         at = [float(np.interp(stamp_s, self.stamp_s[rows], v)) for v in (lat, around, height)]
-        return Taken(lat_deg=at[0], lon_deg=(at[1] + 180) % 360 - 180, height_m=at[2])
+        return Taken(lat_deg=at[0], lon_deg=(at[1] + 180) % 360 - 180, height_m=at[2], sigma_m=self.sigma_m)
 
 
 def believed(readings: Readings) -> tuple[Readings, str]:

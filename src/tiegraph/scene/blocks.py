@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import Similarity
-from tiegraph.scene.graph import forest, parts
+from tiegraph.scene.graph import forest, parts, symmetric
 from tiegraph.scene.pairs import PreviewMatches
 from tiegraph.scene.scene import Scene, between_neighbours
 from tiegraph.scene.sorting import evenly
@@ -97,14 +97,14 @@ def _links(scene: Scene, i: np.ndarray, j: np.ndarray, matches: np.ndarray) -> t
     """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie."""
     a, b, count = scene.frame[i], scene.frame[j], matches.astype(float)
     apart = (a != b) & ~_far(scene, a, b)
-    strength = _symmetric(a[apart], b[apart], count[apart], scene.frames)
-    pairs = _symmetric(a[apart], b[apart], np.ones(int(apart.sum())), scene.frames)
+    strength = symmetric(a[apart], b[apart], count[apart], scene.frames)
+    pairs = symmetric(a[apart], b[apart], np.ones(int(apart.sum())), scene.frames)
     order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
     before, after = order[:-1], order[1:]
     next_ = (scene.sequence[before] == scene.sequence[after]) & (scene.rig[before] == scene.rig[after])
     next_ &= scene.sequence[before] >= 0
     level = _ORDER * float(strength.data.mean()) if strength.nnz else 1.0
-    path = _symmetric(before[next_], after[next_], np.full(int(next_.sum()), level), scene.frames)
+    path = symmetric(before[next_], after[next_], np.full(int(next_.sum()), level), scene.frames)
     return csr_array(strength + path), pairs
 
 
@@ -128,11 +128,6 @@ def _far(scene: Scene, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     follow = (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0)
     follow &= np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= _NEAR // 2
     return ((beyond[a] | beyond[b]) & ~follow) | (compared & ~np.asarray(beside[a, b]).ravel())
-
-
-def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_array:
-    ends = np.concatenate([a, b]), np.concatenate([b, a])
-    return coo_array((np.tile(value, 2), ends), shape=(n, n)).tocsr()
 
 
 def _cut(graph: csr_array, size: np.ndarray, own: int) -> np.ndarray:

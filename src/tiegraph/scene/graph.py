@@ -20,6 +20,12 @@ def parts(i: np.ndarray, j: np.ndarray, nodes: int) -> np.ndarray:
     return connected_components(graph.tocsr(), directed=False)[1]
 
 
+def symmetric(i: np.ndarray, j: np.ndarray, value: np.ndarray, nodes: int) -> csr_array:
+    """(nodes, nodes) with the values (K,) of links i, j (K,) at both places, those of one place added up."""
+    ends = np.concatenate([i, j]), np.concatenate([j, i])
+    return coo_array((np.tile(value, 2), ends), shape=(nodes, nodes)).tocsr()
+
+
 def forest(i: np.ndarray, j: np.ndarray, strength: np.ndarray, nodes: int) -> np.ndarray:
     """Places of a maximum spanning forest by strength (K,) of links i, j (K,); parallel links and loops may occur."""
     low, high = np.minimum(i, j).astype(np.int64), np.maximum(i, j).astype(np.int64)

@@ -8,7 +8,7 @@ requires that tied images see points, that verified pairs agree with the model, 
 """
 
 import shutil
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,8 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.scene import colmaprows
 from tiegraph.scene.colmapmodel import THREADS, factorised, observations
-from tiegraph.scene.colmaprows import read_cache, sizes
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.colmaprows import read_cache, sizes, write_working_copy
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras, impossible_camera, points_that_can_wait
 from tiegraph.sfm.model import held_out_frames
@@ -95,7 +93,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
     if method.mapper == "preview":
         return _from_poses(request, working, send)
     rigs = {k: scene.rigs[k] for k in request.rigs.given}
-    positions = request.tuning.world.fixes if method.positions else None
+    positions = _positions(scene, request.tuning.world.fixes) if method.positions else None
     seen = request.matches
     write_working_copy(seen.database, working, scene, rigs, positions, seen.refused, seen.only)
     raw = request.folder / "raw"
@@ -142,23 +140,6 @@ def _from_poses(request: Request, working: Path, send: Callable[[Any], None]) ->
         return MappingResult([], start.notes, refused)
     doubted = contradicted(model, scene, verified, request.tuning)
     return MappingResult([_written(model, request.folder / "0")], start.notes, doubted)
-
-
-def write_working_copy(
-    source: Path,
-    target: Path,
-    scene: Scene,
-    with_rig: Mapping[int, Rig],
-    positions: FixTuning | None,
-    refused: Sequence[tuple[int, int]] = (),
-    only: np.ndarray | None = None,
-) -> None:
-    """Write the mapper's own copy of the database (``colmaprows.write_working_copy``).
-
-    ``positions``: write the scene's prior positions for the mapper, all but the held-out ones; None: write none.
-    """
-    known = None if positions is None else _positions(scene, positions)
-    colmaprows.write_working_copy(source, target, scene, with_rig, known, refused, only)
 
 
 def _positions(scene: Scene, tuning: FixTuning) -> tuple[np.ndarray, np.ndarray]:

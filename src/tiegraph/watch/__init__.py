@@ -1,8 +1,7 @@
 """On site: images are followed while they are taken (paper 003: the acquisition confirmed on site).
 
-``frames`` hands out files once they are whole, and places them in the survey's coarse model by their ties to images
-that have a pose. ``view`` makes of poses, ties and the map of the surface what ``page.html`` draws, and
-hands both to browsers of this machine.
+``onsite`` hands out files once they are whole, places them in the survey's coarse model by their ties to images that
+have a pose, and makes of poses and ties what ``page.html`` draws.
 
 Of the engines that exist, measured on ``canal`` (640 x 480, six cameras, CPU of one core): an image with its preview
 and ten ties costs 0.12 s. Odometry follows frames one by one but needs a calibrated rig and small steps (``canal`` is

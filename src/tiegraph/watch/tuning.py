@@ -6,7 +6,7 @@ from tiegraph.settings import Section
 
 
 class ArrivalsTuning(Section):
-    """When a file is whole (`frames.py`)."""
+    """When a file is whole (`onsite.py`)."""
 
     look_s: float = Field(0.3, gt=0)
     """Between two looks into the folder."""

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, parse_crs
-from tiegraph.geometry.transforms import Similarity, interpolate, rigid, rms_length, robust_umeyama, skew
+from tiegraph.geometry.transforms import interpolate, level_umeyama, rigid, rms_length, robust_umeyama
 from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.priors.times import exif_times, name_times, read_times
@@ -295,7 +296,7 @@ def _lay_on_gnss(
     rig_from_body, axes = body_of(spec)
     body = poses @ rig_from_body  # odometry that is not metric scales the body's path, but not the rig on the body
     up = np.mean(body[:, :3, :3], axis=0) @ -AXES[axes][1]
-    level = _turn_to_z(up / np.linalg.norm(up))
+    level = Rotation.align_vectors([0.0, 0.0, 1.0], up)[0].as_matrix()
     arm = np.zeros(3)
     if rig.antenna_m is not None:
         arm = (np.linalg.inv(rig_from_body) @ [*rig.antenna_m, 1.0])[:3]
@@ -307,32 +308,7 @@ def _lay_on_gnss(
         return None
     scale = 1.0
     for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry perhaps not
-        fit, rms_m = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
+        fit, rms_m = level_umeyama((centre + arm / scale)[good], target[good], sigma[good])
         scale = fit.scale
     antenna = (scale * centre + arm) @ fit.rotation.T + fit.translation
     return _Laid(rotation=fit.rotation @ level @ poses[:, :3, :3], antenna=antenna, scale=scale, rms_m=rms_m)
-
-
-def _turn_to_z(up: np.ndarray) -> np.ndarray:
-    if up[2] < -1 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    x = skew(np.cross(up, [0.0, 0.0, 1.0]))
-    return np.eye(3) + x + x @ x / (1 + up[2])
-
-
-def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[Similarity, float]:
-    """Rotation about z, scale and shift by reweighted least squares (Cauchy weights, residuals over sigma), and the
-    rms."""
-    source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
-    weight = 1 / sigma[:, 0] ** 2
-    for _ in range(20):  # of the reweighted least squares in each of them
-        s0, g0 = np.average(source, weights=weight), np.average(goal, weights=weight)
-        a = np.sum(weight * np.conj(source - s0) * (goal - g0)) / np.sum(weight * np.abs(source - s0) ** 2)
-        residual = np.abs(goal - g0 - a * (source - s0))
-        weight = 1 / (sigma[:, 0] ** 2 + residual**2)
-    scale, angle = float(np.abs(a)), float(np.angle(a))
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    flat = g0 - a * s0
-    height = np.average(target[:, 2] - scale * path[:, 2], weights=1 / sigma[:, 2] ** 2)
-    rms = float(np.sqrt(np.average(residual**2, weights=weight)))
-    return Similarity(scale, turn, np.array([flat.real, flat.imag, height])), rms

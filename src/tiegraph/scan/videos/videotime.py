@@ -32,7 +32,7 @@ class VideoClock:
     known: bool = False
     utc: bool = False
     shared: bool = False  # with others: the stamps of messages, of which the start is one
-    places: "Fixes | Subtitles | None" = None
+    places: Fixes | None = None
     note: str = ""
 
     def taken(self, stamp_s: float) -> Taken:
@@ -45,13 +45,12 @@ def video_clock(video: Path, settings: ScanSettings) -> VideoClock:
     """The clock of a video, with ``scan.video_offset`` of all videos applied; never raises for a broken file."""
     name, told = clean(video.name), video_offsets(settings.video_offset)
     file = next((f for s in (".SRT", ".srt", ".Srt") if (f := video.with_suffix(s)).exists()), None)
-    subtitles = None if file is None else read_subtitles(file, settings.gnss_sigma_m)
-    notes = [] if file is None or subtitles is None else subtitles.notes(clean(file.name))
+    subtitles = None if file is None else by_subtitles(file, settings)
+    if subtitles is not None and subtitles.known:
+        return replace(subtitles, start_s=subtitles.start_s + told.all_s)
+    notes = [] if subtitles is None else [subtitles.note]
     if file is not None and subtitles is None:
         notes.append(f"{clean(file.name)}: subtitles, but no times or positions of a DJI drone in them: not used")
-    if subtitles is not None and np.isfinite(subtitles.start_s):
-        start = subtitles.start_s + told.all_s
-        return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
     clock, length_s = _container(video, told)
     telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s)
     if telemetry is not None:
@@ -59,7 +58,7 @@ def video_clock(video: Path, settings: ScanSettings) -> VideoClock:
     elif subtitles is None:
         clock = _by_trailer(video, clock, length_s, settings.max_gap_s)
     notes.append(f"{name}: {clock.note}")
-    return replace(clock, places=subtitles or clock.places, note="; ".join(notes))
+    return replace(clock, places=subtitles.places if subtitles else clock.places, note="; ".join(notes))
 
 
 def _by_telemetry(telemetry: Telemetry, clock: VideoClock, all_s: float) -> VideoClock:
@@ -142,7 +141,8 @@ def _created(video: Path) -> tuple[float, float] | None:
 # with latitude, longitude and a height. Dates are those of the controller, in its zone.
 
 
-_SPAN = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
+_STAMP = r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})"
+_SPAN = re.compile(_STAMP + r"\s*-->\s*" + _STAMP)
 _DATE = re.compile(r"(\d{4})[-./](\d\d)[-./](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d{3})(?:[.,]?(\d{3}))?)?")
 _NUMBER = r"\s*:?\s*([-+]?\d+(?:\.(\d+))?)"
 _LAT, _LON = re.compile(r"\blatitude" + _NUMBER), re.compile(r"\blongt?itude" + _NUMBER)
@@ -152,59 +152,44 @@ _DEGREE_M = 111_320.0  # of latitude
 _MOST_BYTES = 500_000_000  # bound of memory: ten hours at 30 frames a second
 
 
-@dataclass(frozen=True)
-class Subtitles:
-    """Rows of a subtitle file by their stamps: positions (R, 3) latitude, longitude, height, NaN = none."""
-
-    stamp_s: np.ndarray  # (R,)
-    lat_lon_height: np.ndarray
-    start_s: float  # of the video, seconds since 1970 in the drone's zone; NaN = no dates
-    sigma_m: float  # NaN = finer than the default of a receiver
-
-    def place(self, stamp_s: float) -> Taken:
-        """Place of the frame with a stamp: by the last row that began before it."""
-        row = int(np.searchsorted(self.stamp_s, stamp_s + 1e-3, side="right")) - 1
-        lat, lon, height = (float(v) for v in self.lat_lon_height[max(row, 0)])
-        return Taken(lat_deg=lat, lon_deg=lon, height_m=height, sigma_m=self.sigma_m)
-
-    def notes(self, name: str) -> list[str]:
-        """Notes on the file of a name."""
-        placed = int(np.isfinite(self.lat_lon_height[:, 0]).sum())
-        rows = f"{name}: {placed} of {len(self.stamp_s)} rows have a position"
-        if np.isnan(self.start_s):
-            return [f"{rows}, none has a date"]
-        return [f"{rows}; the video begins at {date_text(self.start_s)} in the drone's own clock and zone"]
-
-
-def read_subtitles(file: Path, receiver_sigma_m: float) -> Subtitles | None:
-    """Rows of a drone's subtitles; None if it has other subtitles, or cannot be read."""
+def by_subtitles(file: Path, settings: ScanSettings) -> VideoClock | None:
+    """The clock of a video, in the drone's zone, and positions at the begin of each row of its subtitles, the last one
+    until it ends; not known without dates. None if it has other subtitles, or they cannot be read."""
     try:
         text = regular(file, _MOST_BYTES).read_text("utf-8", errors="replace")
     except OSError:
         return None
     marks = list(_SPAN.finditer(text))
-    ends = [m.start() for m in marks[1:]] + [len(text)]
     stamps, dates, places, digits = [], [], [], 15
-    for mark, end in zip(marks, ends):
-        row = text[mark.end() : end]
-        hours, minutes, seconds, fraction = mark.groups()
-        stamps.append(3600.0 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}"))
+    for mark, following in zip(marks, [*marks[1:], None]):
+        row = text[mark.end() : following.start() if following else len(text)]
+        stamps.append([_stamp(*mark.groups()[:4]), _stamp(*mark.groups()[4:])])
         dates.append(_date(row))
         place, exact = _place(row)
         places.append(place)
         digits = min(digits, exact)
-    at, when, where = np.array(stamps), np.array(dates), np.array(places).reshape(-1, 3)
-    if not (np.isfinite(when).any() or np.isfinite(where[:, 0]).any()):
+    spans, when, where = np.array(stamps).reshape(-1, 2), np.array(dates), np.array(places).reshape(-1, 3)
+    dated, placed = np.isfinite(when), np.isfinite(where[:, 0])
+    if not (dated.any() or placed.any()):
         return None
-    order = np.argsort(at, kind="stable")
-    dated = np.isfinite(when)
-    rounded_m = _DEGREE_M / 10**digits
-    return Subtitles(
-        stamp_s=at[order],
-        lat_lon_height=where[order],
-        start_s=float(np.median(when[dated] - at[dated])) if dated.any() else float("nan"),
-        sigma_m=float(np.hypot(receiver_sigma_m, rounded_m)) if rounded_m > receiver_sigma_m else float("nan"),
+    order = np.argsort(spans[:, 0], kind="stable")
+    rounded_m, receiver_m = _DEGREE_M / 10**digits, settings.gnss_sigma_m
+    fixes = Fixes(
+        stamp_s=np.append(spans[order, 0], spans[order[-1], 1]),
+        lat_lon_height=where[[*order, order[-1]]],
+        max_gap_s=settings.max_gap_s,
+        sigma_m=float(np.hypot(receiver_m, rounded_m)) if rounded_m > receiver_m else float("nan"),
     )
+    note = f"{clean(file.name)}: {placed.sum()} of {len(placed)} rows have a position"
+    if not dated.any():
+        return VideoClock(places=fixes, note=f"{note}, none has a date")
+    start = float(np.median(when[dated] - spans[dated, 0]))
+    note += f"; the video begins at {date_text(start)} in the drone's own clock and zone"
+    return VideoClock(start, known=True, places=fixes, note=note)
+
+
+def _stamp(hours: str, minutes: str, seconds: str, fraction: str) -> float:
+    return 3600.0 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}")
 
 
 def _date(row: str) -> float:
