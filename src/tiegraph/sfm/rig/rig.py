@@ -135,7 +135,7 @@ def derive_rig(
     worst = max(held, key=lambda k: held[k].deg)
     few = [f"{names[k]}: {s.agreeing} of {s.frames} frames" for k, s in sorted(held.items()) if s.few(tuning)]
     said = (
-        f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found from a model without rig and then "
+        f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found by their images and then "
         f"adjusted; largest scatter over frames {held[worst].deg:.2f} deg ({names[worst]}, {held[worst].frames} frames)"
     )
     said += (
