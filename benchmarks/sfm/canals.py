@@ -6,11 +6,12 @@
 Each canal is rendered (``--python`` has numba; without its laser scans, which nothing here reads), run until georef
 with the nominal rig, the times of its odometry and each kind of GNSS in turn, and removed: ``given`` (fixed, floating
 and single, none below bridges), ``good`` (fixed everywhere), ``float`` (its places with the errors that the generator
-gives to floating ones), ``none``. Of each case one JSON line is added to FILE; what stands there is not run again.
+gives to floating ones), ``none``, and ``images``: nothing but the images, no rig file either. Of each case one JSON
+line is added to FILE; what stands there is not run again.
 
 ``shape``: frames whose place after the robust similarity to the truth is more than five sigmas off (``shape.npz``);
 ``world``: in the world, without any alignment (placement and shape together). ``told``: what sparse and georef say
-contradicts, and how many frames they left out.
+contradicts, and how many frames they left out. ``right``: images within 0.1 m of the truth after that similarity.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.shape import SHAPE, Shape
 
-GNSS = ("given", "good", "float", "none")
+GNSS = ("given", "good", "float", "none", "images")
 SIGMAS = 5.0
 _RENDER = """
 import sys; sys.path.insert(0, sys.argv[1])
@@ -54,6 +55,7 @@ canal.generate(out, sys.argv[3], int(sys.argv[4]), workers=1, weather=float(sys.
 _FLOAT_M, _SLOW = 0.35, 0.93  # of the generator: sigma of a floating place, what lasts of an error for 0.2 s
 _UP = np.array([1.0, 1.0, 1.6])
 _DEGREE_M = 111_320.0
+_RIGHT_M = 0.1
 
 
 def render(generator: Path, python: Path, preset: str, seed: int, weather: float, folder: Path) -> None:
@@ -100,6 +102,9 @@ def judged(dataset: datasets.Dataset, out: Path) -> dict[str, Any]:
     true = np.array([datasets.pose_centre(dataset.cam_from_world[n]) for n in names])
     fit, _ = robust_umeyama(shape.place, true, 0.02)
     row["shape"] = _off(fit(shape.place) - true, fit.scale * shape.sigma, names)
+    poses = {i.name: i.projection_center() for i in read_model(out / "sparse" / "0").images.values() if i.has_pose}
+    there = np.array([datasets.pose_centre(dataset.cam_from_world[n]) for n in poses])
+    row["right"] = int(np.sum(np.linalg.norm(fit(np.array([*poses.values()])) - there, axis=1) < _RIGHT_M))
     world = json.loads((out / "world.json").read_text()) if (out / "world.json").exists() else {}
     if world.get("origin") and world.get("placement_error") and dataset.truth_origin is not None:
         origin = Origin.from_dict(world["origin"])
@@ -152,8 +157,9 @@ def _cases(args: argparse.Namespace, seed: int, kinds: list[str]) -> None:
     dataset, bad = datasets.load(f"canal@{folder / 'canal'}", folder), False
     for kind in kinds:
         file = folder / "canal" / "sensors" / ("gnss.csv" if kind == "given" else f"gnss_{kind}.csv")
-        out = folder / ("none" if kind == "none" else "out")
-        start, given = time.monotonic(), replace(dataset, gnss=None if kind == "none" else file)
+        out = folder / (kind if kind in ("none", "images") else "out")
+        start, given = time.monotonic(), replace(dataset, gnss=file if file.exists() else None)
+        given = replace(given, rig=None, times=None) if kind == "images" else given
         error = variants.start(given, out, "georef", {})
         row = {"preset": args.preset, "seed": seed, "weather": args.weather, "gnss": kind, "error": error}
         if not error:

@@ -123,7 +123,7 @@ def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
     for sensor, pose in zip(scene.rigs[0].sensors[1:], extrinsics[1:]):
         assert pose is not None
         assert 0 < transforms.angle_deg(pose[:3, :3], sensor.sensor_from_rig[:3, :3]) < 0.5
-    assert any("found from a model without rig" in n for n in result.remarks.notes)
+    assert any("cameras found by their images" in n for n in result.remarks.notes)
     assert 0 < _centre_error(result, result.scene, truth) < 0.03
 
 

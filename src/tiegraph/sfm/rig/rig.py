@@ -122,7 +122,7 @@ def derive_rig(
         motions = [_motions(scene, index, found, b, poses[0], own) for own in poses[1:]]
         rig_poses, own = max(motions, key=lambda m: len(m[0]), default=(np.zeros(0),) * 2)
         arm = max(float(np.linalg.norm(transforms.centre(t))) for t in found.values())
-        place = hand_eye(rig_poses, own, arm, tuning) if len(rig_poses) >= 2 * tuning.min_frames else None
+        place = hand_eye(rig_poses, own, arm, tuning) if len(rig_poses) >= tuning.min_frames + 2 else None
         if place is not None:
             found[b], held[b] = place
     for b in range(len(names)):
@@ -135,7 +135,7 @@ def derive_rig(
     worst = max(held, key=lambda k: held[k].deg)
     few = [f"{names[k]}: {s.agreeing} of {s.frames} frames" for k, s in sorted(held.items()) if s.few(tuning)]
     said = (
-        f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found from a model without rig and then "
+        f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found by their images and then "
         f"adjusted; largest scatter over frames {held[worst].deg:.2f} deg ({names[worst]}, {held[worst].frames} frames)"
     )
     said += (
@@ -199,7 +199,7 @@ def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning)
     noise, arm = 0.02 * reach, max(arm, 1e-3 * reach)
     start, near = robust_umeyama(transforms.centre(own), transforms.centre(rig), noise)
     rig, own = rig[near], own[near]
-    if len(rig) < 2 * tuning.min_frames:
+    if len(rig) < tuning.min_frames + 2:  # three frames give all that is unknown, two more confirm it
         return None
     centres, theirs = transforms.centre(rig), transforms.centre(own)
     middle = centres.mean(axis=0)
