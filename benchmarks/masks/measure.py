@@ -142,17 +142,17 @@ def _refine(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
     for name, image in images.items():
         camera = image.camera_id
         if camera not in grids:
-            grids[camera] = camera_rays(model.cameras[camera], first[name].shape, TUNING.waterline)
+            grids[camera] = camera_rays(model.cameras[camera], first[name].shape, TUNING)
         views[name] = View(grids[camera] @ image.cam_from_world().rotation.matrix(), image.projection_center())
-    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= TUNING.refine.least_track])
-    edges = [first_line(first[n], TUNING.waterline) for n in level]
-    water = find_water([views[n] for n in level], edges, points, up, TUNING.waterline)
+    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= TUNING.witnesses])
+    edges = [first_line(first[n], TUNING) for n in level]
+    water = find_water([views[n] for n in level], edges, points, up, TUNING)
     for name in camera_of:
         found = first[name]
         if name in views:
-            seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING.sky_points)
+            seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING)
             lines = lines_of(views[name], up, water)
-            found = without_points(final_classes(found, lines, TUNING.waterline), seen, TUNING.sky_points)
+            found = without_points(final_classes(found, lines, TUNING), seen, TUNING)
         _save(out / GEOMETRY / "classes" / f"{name}.png", found)
         keep = full_size(found == USE, image_size(data.folder / name))
         _save(out / GEOMETRY / "masks" / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))

@@ -40,11 +40,11 @@ class Parts:
     """What each stage of the recipe masks in one image, by constant, and the true classes (h, w)."""
 
     def __init__(self, path: Path, truth: Path, initial: dict[float, np.ndarray | None], tuning: Tuning) -> None:
-        image = read_small(path, tuning.frames.work_px)
+        image = read_small(path, tuning.work_px)
         brightness = grey(image)
         classes = cv2.imread(str(truth), cv2.IMREAD_GRAYSCALE)
         self.classes = cv2.resize(classes, image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-        self.blue = blue_sky(image, tuning.meguro2025)
+        self.blue = blue_sky(image, tuning.papers)
         none = np.zeros(brightness.shape, bool)
         self.edge = {e: edge_sky(brightness, e) if e else none for e in EDGE}
         self.bright = {b: brightness >= b for b in OVEREXPOSED}
@@ -54,7 +54,7 @@ class Parts:
         """(h, w) bool by one reading, smoothed by blocks as the recipe ends."""
         found = self.edge[edge] | self.blue if sky == "either" else self.edge[edge] & self.blue
         found = found | self.same[similarity] | self.bright[bright]
-        own = tuning.meguro2025
+        own = tuning.papers
         return from_blocks(block_share(found, own.block_px) >= own.min_block, own.block_px, found.shape)
 
 
@@ -64,7 +64,7 @@ def parts_of(data: MaskSet, tuning: Tuning) -> dict[str, list[Parts]]:
     for camera, names in data.cameras.items():
         frames = two_frames([data.folder / n for n in names], tuning.frames)
         assert frames is not None and data.truth is not None
-        initial = {s: initial_mask(*frames, s, tuning.meguro2025) if s < 1 else None for s in SIMILARITY}
+        initial = {s: initial_mask(*frames, s, tuning.papers) if s < 1 else None for s in SIMILARITY}
         out[camera] = [Parts(data.folder / n, _truth(data.truth, n), initial, tuning) for n in names[::EVERY]]
     return out
 

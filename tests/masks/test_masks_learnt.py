@@ -11,7 +11,7 @@ from tiegraph.masks.learnt import learn
 from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
-from tiegraph.masks.tuning import MatchabilityTuning, Tuning, WaterlineTuning
+from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import (
     Lines,
     View,
@@ -77,15 +77,14 @@ def test_sky_water_and_platform_of_a_boat(boat, learnt):
 @pytest.mark.slow
 def test_tables_and_maps_of_other_sizes_do_as_well_and_water_is_where_it_is_asked_for(boat):
     varied = {
-        "frames": {"work_px": 512},
-        "classification": {"light_bins": 13, "colour_bins": 10, "texture_edges_grey": (1.0, 3.0, 8.0)},
-        "labels": {"places": (9, 11)},
-        "water": {"grid": (45, 70), "block_px": (5, 3)},
+        "work_px": 512,
+        "sky": {"bins": 13, "texture_edges_grey": (1.0, 3.0, 8.0), "places": (9, 11)},
+        "water": {"grid": (45, 70)},
     }
     tuning = Tuning.model_validate(varied)
     prepared = learn({0: boat[0]}, MasksSettings(water="on"), tuning)[0]
     assert prepared.note.endswith(", water") and prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
-    assert {len(t) for t in prepared.table.values()} == {13 * 10 * 10 * 4}
+    assert {len(t) for t in prepared.table.values()} == {13**3 * 4}
     found = classes_of(boat[0][5], prepared, MasksSettings(), SHAPE, tuning)
     assert ((found == USE) == (truth() == USE)).mean() > 0.9
 
@@ -134,47 +133,47 @@ def test_burnt_out_areas_are_masked(tmp_path):
 
 @pytest.mark.slow
 def test_border_of_the_sky_and_calm_sky_of_an_upward_camera():
-    sky = border_sky(river(0, 0), TUNING.skyline)
+    sky = border_sky(river(0, 0), TUNING)
     assert sky is not None and sky[: SKYLINE - 16].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
-    assert border_sky(river(0, 0)[SKYLINE:DECK], TUNING.skyline) is None
-    assert border_sky(np.full((*SHAPE, 3), 128, np.uint8), TUNING.skyline) is None
+    assert border_sky(river(0, 0)[SKYLINE:DECK], TUNING) is None
+    assert border_sky(np.full((*SHAPE, 3), 128, np.uint8), TUNING) is None
     image = river(0, 0)
-    sky = textureless_sky(image[:SHORE], np.zeros((SHORE, 320), bool), TUNING.skyline)
+    sky = textureless_sky(image[:SHORE], np.zeros((SHORE, 320), bool), TUNING)
     assert sky is not None and sky[: SKYLINE - 8].mean() > 0.9 and sky[SKYLINE + 8 :].mean() < 0.05
-    assert textureless_sky(image // 4, np.zeros(SHAPE, bool), TUNING.skyline) is None, "a dark calm area is a bridge"
+    assert textureless_sky(image // 4, np.zeros(SHAPE, bool), TUNING) is None, "a dark calm area is a bridge"
 
 
 @pytest.mark.slow
 def test_pairs_tell_what_matches(boat, monkeypatch):
-    found_in_both = pair_matchability((boat[0][3], boat[0][4]), TUNING.matchability)
+    found_in_both = pair_matchability((boat[0][3], boat[0][4]), TUNING)
     assert len(found_in_both) == 2
     for found in found_in_both:
         row = found.xy[:, 1] * SHAPE[0]
         wall, water = (row > SKYLINE) & (row < SHORE - 6), (row > SHORE + 6) & (row < DECK - 6)
         assert found.matched[wall].mean() > 0.15 and found.matched[water].mean() < 0.05
-    assert pair_matchability((boat[0][0], boat[1][0]), TUNING.matchability) == ()
-    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], MatchabilityTuning(most_pairs=6))] == [2, 0, 0]
+    assert pair_matchability((boat[0][0], boat[1][0]), TUNING) == ()
+    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], Tuning(samples=6))] == [2, 0, 0]
 
     def refuse(*_):
         raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
 
     monkeypatch.setattr(cv2, "findFundamentalMat", refuse)
-    assert pair_matchability((boat[0][3], boat[0][4]), TUNING.matchability) == ()
+    assert pair_matchability((boat[0][3], boat[0][4]), TUNING) == ()
 
 
 def test_a_zone_that_never_matches():
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 1, (4000, 2)).astype(np.float32)
     matched = (xy[:, 1] < 0.6) & (rng.uniform(size=4000) < 0.3)
-    zone = never_matching([Matchability(None, xy, matched, xy[:, 0])], None, TUNING.water)
+    zone = never_matching([Matchability(None, xy, matched, xy[:, 0])], None, TUNING)
     rows = zone.mask.mean(axis=1)
     assert rows[:33].max() == 0 and rows[39:].min() > 0.9 and zone.says > 100
-    everywhere = never_matching([Matchability(None, xy, rng.uniform(size=4000) < 0.3, xy[:, 0])], None, TUNING.water)
+    everywhere = never_matching([Matchability(None, xy, rng.uniform(size=4000) < 0.3, xy[:, 0])], None, TUNING)
     assert everywhere.says < 8
-    assert water_priors({0: zone, 1: zone}, asked=False, tuning=TUNING.water) == {}
-    assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False, tuning=TUNING.water)) == {0, 1, 2}
+    assert water_priors({0: zone, 1: zone}, asked=False, tuning=TUNING) == {}
+    assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False, tuning=TUNING)) == {0, 1, 2}
     for nowhere in ({0: everywhere}, {}):
-        assert water_priors(nowhere, asked=True, tuning=TUNING.water) == {}
+        assert water_priors(nowhere, asked=True, tuning=TUNING) == {}
 
 
 def test_waterline_is_the_best_line_and_spares_the_platform():
@@ -182,17 +181,20 @@ def test_waterline_is_the_best_line_and_spares_the_platform():
     ratio = np.where(np.arange(120)[:, None] < 70, -1.0, 1.0) + rng.normal(0, 2, (120, 160))
     ego = np.zeros((120, 160), bool)
     ego[110:, 40:] = True
-    water = below_waterline(ratio.astype(np.float32), ego, TUNING.water)
+    water = below_waterline(ratio.astype(np.float32), ego, TUNING)
     assert not water[ego].any() and np.abs(water.argmax(axis=0) - 70).max() <= 8
-    assert not below_waterline(np.full((120, 160), -1, np.float32), None, TUNING.water).any()
+    assert not below_waterline(np.full((120, 160), -1, np.float32), None, TUNING).any()
 
 
 def test_appearance_is_learnt_from_counts():
     blue, grey = np.full((8, 8, 3), (220, 150, 90), np.uint8), np.full((8, 8, 3), 120, np.uint8)
-    own = TUNING.classification
+    own = TUNING
     blue, grey = (classification.bins(image, own) for image in (blue, grey))
-    counts = {k: np.bincount(image.ravel(), minlength=own.bins) for k, image in ((SKY, blue), (USE, grey))}
-    counts |= {WATER: np.zeros(own.bins)}
+    counts = {
+        k: np.bincount(image.ravel(), minlength=classification.bin_count(own))
+        for k, image in ((SKY, blue), (USE, grey))
+    }
+    counts |= {WATER: np.zeros(classification.bin_count(own))}
     table = classification.learn_appearance(counts, own, counts)
     assert (
         classification.log_ratio(table, blue, SKY).min() > 2 and classification.log_ratio(table, grey, SKY).max() < -2
@@ -200,12 +202,12 @@ def test_appearance_is_learnt_from_counts():
     assert not classification.log_ratio(table, blue, WATER).any()
 
 
-LINES, FOCAL = WaterlineTuning(), 200.0
+FOCAL = 200.0
 DEPTH, BANK = 2.0, 10.0  # water below the cameras, banks to both sides; up = z, the boat goes along y
 
 
 def view(y, yaw_deg):
-    across, down = np.meshgrid(columns(SHAPE[1], LINES) + 0.5 - SHAPE[1] / 2, np.arange(SHAPE[0]) + 0.5 - SHAPE[0] / 2)
+    across, down = np.meshgrid(columns(SHAPE[1], TUNING) + 0.5 - SHAPE[1] / 2, np.arange(SHAPE[0]) + 0.5 - SHAPE[0] / 2)
     rays = np.stack([across, down, np.full(across.shape, FOCAL)], axis=-1)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
@@ -238,7 +240,7 @@ def test_level_of_the_water_in_spite_of_wrong_first_masks(survey):
     views, points = survey
     rng = np.random.default_rng(1)
     lines = [true_line(v) + rng.normal(0, 5, len(true_line(v))) for v in views]
-    water = find_water(views, lines, points, UP, LINES)
+    water = find_water(views, lines, points, UP, TUNING)
     assert water is not None and 0 < abs(water.depth - DEPTH) < 0.1 and water.rays > 500
     errors = np.concatenate([lines_of(v, UP, water).water - true_line(v) for v in views])
     assert 0 < np.nanpercentile(np.abs(errors), 90) < 4
@@ -253,23 +255,23 @@ def test_no_level_without_agreement(survey):
         (views, nothing, points), (views, wild, points), ([], [], points), (views, wild, np.zeros((0, 3))),
         (views, wild, points + [0, 0, 50]),
     ):  # fmt: skip
-        assert find_water(seen, lines, there, UP, LINES) is None
+        assert find_water(seen, lines, there, UP, TUNING) is None
 
 
 def test_final_classes(survey):
     views, points = survey
-    water = find_water(views, [true_line(v) for v in views], points, UP, LINES)
+    water = find_water(views, [true_line(v) for v in views], points, UP, TUNING)
     first = np.full(SHAPE, USE, np.uint8)
     first[:60] = SKY
     first[190:] = WATER
     first[200:210, :50] = SKY
     first[220:] = EGO
     lines = lines_of(views[1], UP, water)
-    found = final_classes(first, lines, LINES)
+    found = final_classes(first, lines, TUNING)
     row = int(np.nanmedian(true_line(views[1])))
     assert (found[:60] == SKY).all() and (found[220:] == EGO).all()
     assert (found[row + 4 : 220] == WATER).all() and (found[60 : row - 4] == USE).all()
-    dry = final_classes(first, lines_of(views[1], UP, None), LINES)
+    dry = final_classes(first, lines_of(views[1], UP, None), TUNING)
     assert (dry[190:200] == WATER).all() and not (dry[130:] == SKY).any()
 
 
@@ -277,19 +279,20 @@ def test_first_line_ignores_what_the_platform_hides():
     classes = np.full((40, 32), USE, np.uint8)
     classes[20:] = WATER
     classes[10:20, :16] = EGO
-    line = first_line(classes, LINES)
-    assert np.isnan(line[:2]).all() and (line[2:] == 20).all()
-    assert np.isnan(first_line(np.zeros((40, 32), np.uint8), LINES)).all()
+    line = first_line(classes, TUNING)
+    half = len(line) // 2
+    assert np.isnan(line[:half]).all() and (line[half:] == 20).all()
+    assert np.isnan(first_line(np.zeros((40, 32), np.uint8), TUNING)).all()
 
 
 def test_gaps_in_the_banks_are_bridged_and_their_ends_are_not():
     first = np.full((60, 320), USE, np.uint8)
-    line = np.full(40, 30.0)
-    line[10:16] = np.nan  # a pier without points
-    line[:4] = np.nan  # nothing is known there
-    found = final_classes(first, Lines(line, np.zeros(40)), LINES)
+    line = np.full(80, 30.0)
+    line[20:32] = np.nan  # a pier without points
+    line[:8] = np.nan  # nothing is known there
+    found = final_classes(first, Lines(line, np.zeros(80)), TUNING)
     assert (found[35:, 80:130] == WATER).all() and (found[:28] == USE).all()
     assert (found[:, :16] == USE).all()
-    open_water = np.full(40, np.nan)
-    open_water[[0, 39]] = 30.0  # too wide to bridge
-    assert (final_classes(first, Lines(open_water, np.zeros(40)), LINES)[:, 80:240] == USE).all()
+    open_water = np.full(80, np.nan)
+    open_water[[0, 79]] = 30.0  # too wide to bridge
+    assert (final_classes(first, Lines(open_water, np.zeros(80)), TUNING)[:, 80:240] == USE).all()

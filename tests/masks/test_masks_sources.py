@@ -27,7 +27,7 @@ from tiegraph.masks.frames import full_size, grey, image_size, read_small, small
 from tiegraph.masks.platform import flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, explain_source
-from tiegraph.masks.tuning import FramesTuning, Tuning
+from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 
@@ -176,7 +176,7 @@ def test_views_of_a_lens_are_one_witness_of_water(monkeypatch):
     assert asked == ["auto", "off", "on"]
 
 
-FRAMES = FramesTuning()
+FRAMES = Tuning()
 
 
 @pytest.mark.slow
@@ -324,7 +324,7 @@ def test_blurred_and_repeated_images_are_flagged(tmp_path):
     paths = [write(tmp_path / f"{k}.png", image) for k, image in enumerate(images)]
     use = np.ones((240, 320), bool)
     quality = [image_quality(p, before, use, TUNING) for p, before in zip(paths, [None, *paths[:-1]])]
-    found = flags(quality, TUNING.quality)
+    found = flags(quality, TUNING)
     assert found[4].startswith("blurred: 0.") and found[7].startswith("similar: ")
     assert [k for k, why in enumerate(found) if why] == [4, 7]
 
@@ -333,10 +333,10 @@ def test_nothing_is_said_of_masked_or_lone_images(tmp_path):
     path = write(tmp_path / "a.png", frame(0))
     quality = image_quality(path, None, np.zeros((240, 320), bool), TUNING)
     assert np.isnan(quality).all()
-    assert flags([quality], TUNING.quality) == [""]
+    assert flags([quality], TUNING) == [""]
     dark = write(tmp_path / "dark.png", np.zeros((240, 320, 3), np.uint8))
     again = [image_quality(dark, path, np.ones((240, 320), bool), TUNING)] * 5
-    assert flags(again, TUNING.quality) == [""] * 5
+    assert flags(again, TUNING) == [""] * 5
 
 
 SIZE = (48, 64)

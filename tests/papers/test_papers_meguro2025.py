@@ -8,7 +8,7 @@ from masks_world import CLOUD_BGR, DECK, HORIZON, SHAPE, frame, sequence, share
 from tiegraph.masks.frames import block_share, from_blocks, grey, masked_neighbours, opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import Camera
-from tiegraph.masks.tuning import Meguro2025Tuning, Tuning
+from tiegraph.masks.tuning import PapersTuning, Tuning
 from tiegraph.papers import meguro2025 as module
 from tiegraph.papers.meguro2024 import difference_mask, mask_of_camera, prepare, prepare_difference
 from tiegraph.papers.meguro2025 import blue_sky, edge_sky, final_mask, initial_mask, prepare_ssim, ssim
@@ -45,7 +45,7 @@ def test_initial_mask_separates_the_platform_even_when_the_light_changes(tmp_pat
     settings = MasksSettings()
     for mask in (
         prepare_ssim(sequence(tmp_path), settings, TUNING),
-        initial_mask(grey(frame(0)), grey(frame(1, gain=0.8)), settings.similarity, TUNING.meguro2025),
+        initial_mask(grey(frame(0)), grey(frame(1, gain=0.8)), settings.similarity, TUNING.papers),
     ):
         assert share(mask, slice(DECK + 8, None)) < 0.05
         assert share(mask, slice(HORIZON + 8, DECK - 8)) > 0.9
@@ -55,11 +55,11 @@ def test_steps_after_the_threshold(monkeypatch):
     similar = np.zeros((160, 160), np.float32)
     similar[:80] = 1  # a large region
     similar[40:48, 40:48] = 0  # with a hole of one block: four masked neighbours, filled
-    similar[120:136, 120:136] = 1  # a region of four blocks: too small
+    similar[120:128, 120:128] = 1  # a region of one block: too small
     similar[80:83, :] = 1  # 3 of 8 rows of the next blocks: under half, excluded
     monkeypatch.setattr(module, "ssim", lambda a, b: similar)
-    mask = initial_mask(np.zeros((160, 160), np.uint8), np.zeros((160, 160), np.uint8), 0.6, TUNING.meguro2025)
-    assert TUNING.meguro2025.block_px == 8
+    mask = initial_mask(np.zeros((160, 160), np.uint8), np.zeros((160, 160), np.uint8), 0.6, TUNING.papers)
+    assert TUNING.papers.block_px == 8
     assert not mask[:80].any() and mask[80:].all()
 
 
@@ -68,7 +68,7 @@ def test_one_frame_has_no_initial_mask(tmp_path):
 
 
 SETTINGS = MasksSettings()
-PAPER = Meguro2025Tuning()
+PAPER = PapersTuning()
 
 
 def test_sky_goes_down_to_the_first_strong_edge_of_each_column():
@@ -144,7 +144,7 @@ def test_what_stays_is_masked_and_what_moves_is_used(tmp_path):
 
 def test_light_change_breaks_it_as_the_papers_method_does(tmp_path):
     a, b = grey(frame(0)), grey(frame(1, gain=0.8))
-    assert share(difference_mask(a, b, 8, TUNING.meguro2024), slice(DECK, None)) > 0.5
+    assert share(difference_mask(a, b, 8, TUNING.papers), slice(DECK, None)) > 0.5
 
 
 def test_nothing_of_a_camera_that_looks_up_is_used(tmp_path):
@@ -161,11 +161,11 @@ def test_small_areas_of_both_colours_go():
     b[:, 100:] = 255  # right half differs
     b[50:62, 30:42] = 255  # a white island of 144 px, under 0.5 % of the image
     b[50:62, 150:162] = 0  # a black one
-    mask = difference_mask(a, b, 20, TUNING.meguro2024)
+    mask = difference_mask(a, b, 20, TUNING.papers)
     assert not mask[:, :100].any() and mask[:, 100:].all()
     c = b.copy()
     c[20:50, 20:50] = 255  # 900 px stay
-    assert difference_mask(a, c, 20, TUNING.meguro2024)[35, 35]
+    assert difference_mask(a, c, 20, TUNING.papers)[35, 35]
 
 
 def test_lines_thinner_than_the_square_go_however_long():
@@ -174,15 +174,15 @@ def test_lines_thinner_than_the_square_go_however_long():
     b[:, 100:] = 255
     b[:, 40:45] = 255  # 1000 px of white, 5 px wide
     b[:, 150:155] = 0  # and of black
-    mask = difference_mask(a, b, 20, TUNING.meguro2024)
-    assert TUNING.meguro2024.square_px == 7
+    mask = difference_mask(a, b, 20, TUNING.papers)
+    assert TUNING.papers.square_px == 7
     assert not mask[:, :100].any() and mask[:, 100:].all()
 
 
 def test_threshold_is_the_smallest_difference_used():
     a = np.full((64, 64), 100, np.uint8)
-    assert difference_mask(a, a + np.uint8(20), 20, TUNING.meguro2024).all()
-    assert not difference_mask(a, a + np.uint8(19), 20, TUNING.meguro2024).any()
+    assert difference_mask(a, a + np.uint8(20), 20, TUNING.papers).all()
+    assert not difference_mask(a, a + np.uint8(19), 20, TUNING.papers).any()
 
 
 def test_opening_before_closing():

@@ -17,7 +17,7 @@ from blocks_world import Mapper, place, survey, ties_of
 from said import refused
 from tiegraph.errors import SettingsError
 from tiegraph.features.preview import Preview, PreviewMatch
-from tiegraph.masks.tuning import Meguro2024Tuning, Tuning
+from tiegraph.masks.tuning import PapersTuning, Tuning
 from tiegraph.network.coarse.assembled import Assembled
 from tiegraph.pipeline import features as previews
 from tiegraph.pipeline import network as coarse
@@ -124,7 +124,7 @@ def test_masks_of_another_source_for_the_same_images(tmp_path):
         assert mask.shape == (60, 80) and mask[44:].mean() < 20 and mask[:36].mean() > 200
     with pytest.raises(SettingsError, match="unknown mask source 'folder'"):
         masks_by("folder", scene, tmp_path, tmp_path / "masks", Tuning())
-    whole = Tuning(meguro2024=Meguro2024Tuning(min_area=0.5))  # the black third of the image is a speck then
+    whole = Tuning(papers=PapersTuning(min_area=0.5))  # the black third of the image is a speck then
     masks_by("meguro2024", scene, tmp_path, tmp_path / "tuned", whole)
     assert cv2.imread(str(tmp_path / "tuned" / f"{names[0]}.png"), cv2.IMREAD_GRAYSCALE).min() == 255
 

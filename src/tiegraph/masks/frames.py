@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.masks.tuning import FramesTuning
+from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.atomic import regular
 from tiegraph.scene.decoding import open_image
 
@@ -74,7 +74,7 @@ def grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def two_frames(images: Sequence[Path], tuning: FramesTuning) -> tuple[np.ndarray, np.ndarray] | None:
+def two_frames(images: Sequence[Path], tuning: Tuning) -> tuple[np.ndarray, np.ndarray] | None:
     """Grey (h, w) u1 of the first and the last image of a camera (paper 001: "typically the first and the last").
 
     Images that cannot be read are skipped for the next one; the second is the last one of equal size that is not

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from tiegraph.masks import EGO, SKY, USE, WATER
-from tiegraph.masks.classification import Classifier, Table, bins, classify, learn_appearance, sought
+from tiegraph.masks.classification import Classifier, Table, bin_count, bins, classify, learn_appearance, sought
 from tiegraph.masks.frames import dilated, eroded, full_size, grey, read_small
 from tiegraph.masks.matchability import (
     Matchability,
@@ -29,7 +29,7 @@ from tiegraph.masks.matchability import (
 from tiegraph.masks.platform import learn_platform, spread
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, textureless_sky
-from tiegraph.masks.tuning import LabelTuning, Tuning
+from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import never_matching, water_priors
 
 _NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks like it does not lie above the rest"
@@ -37,7 +37,7 @@ _NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks li
 Map = Callable[[Callable, Sequence], Iterable]
 
 
-def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> tuple[float, float]:
+def edges_of(sky: np.ndarray, told: np.ndarray, tuning: Tuning) -> tuple[float, float]:
     """Edges of a sky (h, w) bool where it is separated from the scene, ``told`` (h, w) bool: not at the platform, nor
     at the row below which no sky is searched. The part of their length that faces down less that which faces up, and
     their length, pixels."""
@@ -47,14 +47,14 @@ def edges_of(sky: np.ndarray, told: np.ndarray, tuning: LabelTuning) -> tuple[fl
     return float(down[inner].sum()), float(np.hypot(down, right)[inner].sum())
 
 
-def not_above(edges: Mapping[int, Sequence[tuple[float, float]]], tuning: LabelTuning) -> set[int]:
+def not_above(edges: Mapping[int, Sequence[tuple[float, float]]], tuning: Tuning) -> set[int]:
     """The cameras whose sky is none, as it does not lie above the rest: those of all level cameras are judged together.
 
     ``edges``: of the images of each level camera (``edges_of``), whose tops are up to within some 45 degrees; a camera
     that looks up sees sky anywhere.
     """
     down, length = (sum(e[n] for own in edges.values() for e in own) for n in (0, 1))
-    return set(edges) if down < tuning.min_down * length else set()
+    return set(edges) if down < tuning.sky.min_down * length else set()
 
 
 @dataclass(frozen=True)
@@ -85,29 +85,25 @@ class Labels:
 
 def first_labels(job: LabelJob) -> Labels:
     """Certain areas before anything is learnt: matched features, the zone of water, sky above a border."""
-    tuning, own = job.tuning, job.tuning.labels
-    image = read_small(job.image, tuning.frames.look_px)
+    tuning = job.tuning
+    image = read_small(job.image, tuning.look_px)
     shape = image.shape[:2]
     static = _matched(job.matchability, shape)
     water = np.zeros(shape, bool) if job.zone is None else full_size(job.zone, shape)
-    sky = (
-        textureless_sky(image, static, tuning.skyline)
-        if job.upward
-        else border_sky(image, tuning.skyline, job.platform)
-    )
+    sky = textureless_sky(image, static, tuning) if job.upward else border_sky(image, tuning, job.platform)
     wall = sky is not None and not job.upward  # until its matches say that it is sky
     if wall and job.matchability is not None:  # a bright wall has as many as other walls
-        inner = eroded(sky, tuning.skyline.inner_px)
-        wall = not inner[job.matchability.pixels(shape)].mean() < own.matched_sky * float(inner.mean())
+        inner = eroded(sky, tuning.window_px)
+        wall = not inner[job.matchability.pixels(shape)].mean() < tuning.dense * float(inner.mean())
     if sky is None or wall:
         sky = np.zeros(shape, bool)
     else:  # areas well off the sky are scene or water
-        pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet
+        pale = _like_sky(image, sky, job.matchability, tuning)  # where the horizon is, is not known yet
         static = (static | ~dilated(sky, 9)) & ~pale
     free = np.ones(shape, bool) if job.platform is None else ~full_size(job.platform, shape)
     rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > 0.02)  # share of a row that must be sky
     low = float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
-    sky = (sky if job.upward else _wide(sky, own)) & ~static
+    sky = (sky if job.upward else _wide(sky, tuning)) & ~static
     return _seeds(image, {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}, tuning, low)
 
 
@@ -116,26 +112,26 @@ def second_labels(job: tuple[LabelJob, Classifier], settings: MasksSettings) -> 
     images."""
     seed, learnt = job
     tuning = seed.tuning
-    image = read_small(seed.image, tuning.frames.look_px)
+    image = read_small(seed.image, tuning.look_px)
     labels = classify(image, learnt, settings, tuning)
     static = _matched(seed.matchability, labels.shape)
     free = np.ones(labels.shape, bool) if learnt.platform is None else ~full_size(learnt.platform, labels.shape)
     masks = {label: (labels == label) & free & ~static for label in (SKY, WATER)}
     doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
     masks[SKY] = masks[SKY] & ~doubtful
-    pale = _like_sky(image, labels == SKY, seed.matchability, tuning.labels, learnt.sky_rows)
+    pale = _like_sky(image, labels == SKY, seed.matchability, tuning, learnt.sky_rows)
     classes = np.where(free, labels, EGO).astype(np.uint8)
     seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks}, tuning)
-    told = free & (labels != WATER) & sought(labels.shape, learnt, tuning.classification)
-    edges = (0.0, 0.0) if seed.upward else edges_of(labels == SKY, told, tuning.labels)
+    told = free & (labels != WATER) & sought(labels.shape, learnt, tuning)
+    edges = (0.0, 0.0) if seed.upward else edges_of(labels == SKY, told, tuning)
     matches = MatchCounts()
     if seed.matchability is not None:
-        matches = matches_in(classes, classes == SKY, seed.matchability, tuning.proof)
+        matches = matches_in(classes, classes == SKY, seed.matchability, tuning)
     return replace(seeds, matches=matches, edges=edges)
 
 
 def _like_sky(
-    image: np.ndarray, sky: np.ndarray, matchability: Matchability | None, tuning: LabelTuning, lowest: float = -1.0
+    image: np.ndarray, sky: np.ndarray, matchability: Matchability | None, tuning: Tuning, lowest: float = -1.0
 ) -> np.ndarray:
     """Areas as bright as the sky and connected to it that hardly match or end above the horizon.
 
@@ -150,27 +146,27 @@ def _like_sky(
     touching = np.isin(joined, np.unique(joined[sky])) & ~sky & bright
     count, pieces, stats, _ = cv2.connectedComponentsWithStats(touching.astype(np.uint8), connectivity=4)
     area = stats[:, cv2.CC_STAT_AREA]
-    row = int(np.clip(round((lowest + tuning.lower) * len(sky)), 0, len(sky)))
+    row = int(np.clip(round((lowest + tuning.sky.horizon) * len(sky)), 0, len(sky)))
     pale = np.bincount(pieces[row:].ravel(), minlength=count) <= 0.05 * area
     if matchability is not None:
         at = pieces[matchability.pixels(sky.shape)]
-        pale |= np.bincount(at, minlength=count) * pieces.size < tuning.matched_sky * len(at) * area
+        pale |= np.bincount(at, minlength=count) * pieces.size < tuning.dense * len(at) * area
     pale[0] = False
     return pale[pieces]
 
 
 def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], tuning: Tuning, low: float = 0.0) -> Labels:
-    found, size = bins(image, tuning.classification), tuning.labels.places[::-1]
-    looks = {label: np.bincount(found[mask], minlength=tuning.classification.bins) for label, mask in masks.items()}
+    found, size = bins(image, tuning), tuning.sky.places[::-1]
+    looks = {label: np.bincount(found[mask], minlength=bin_count(tuning)) for label, mask in masks.items()}
     places = {
         label: cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) for label, mask in masks.items()
     }
     return Labels(looks, places, low)
 
 
-def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
+def _wide(sky: np.ndarray, tuning: Tuning) -> np.ndarray:
     """The sky without narrow parts: where a border runs down a pale wall, it does so in a few columns only."""
-    across = np.ones((1, max(1, round(tuning.wide * sky.shape[1]))), np.uint8)
+    across = np.ones((1, max(1, round(tuning.sky.wide * sky.shape[1]))), np.uint8)
     return cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, across) > 0
 
 
@@ -197,19 +193,18 @@ def learn(
     # The images of each camera between which the scene moves, the platform by them, and what matches in them
     learnt = list(apply(partial(learn_platform, tuning=tuning), [cameras[k] for k in keys]))
     platforms, notes = ({k: own[n] for k, own in zip(keys, learnt)} for n in (1, 2))
-    pairs = choose_pairs([own[0] for own in learnt], tuning.matchability)
-    found = list(apply(partial(pair_matchability, tuning=tuning.matchability), [pair for own in pairs for pair in own]))
+    pairs = choose_pairs([own[0] for own in learnt], tuning)
+    found = list(apply(partial(pair_matchability, tuning=tuning), [pair for own in pairs for pair in own]))
     each = iter(found)
     seen = {k: [e for _ in own for e in next(each)] for k, own in zip(keys, pairs)}
-    if not moves(found, tuning.proof):
+    if not moves(found, tuning):
         still = "no platform learnt (no frames show that the camera moves)"
         notes = {k: notes[k] if platforms[k] is None else still for k in keys}
         platforms = dict.fromkeys(keys)
     # Where nothing ever matches, and the prior of water by place, of the cameras that show water
     level = [k for k in keys if k not in upward]
-    zones = {k: never_matching(seen[k], platforms[k], tuning.water) for k in level}
-    water = {} if settings.water == "off" else water_priors(zones, settings.water == "on", tuning.water)
-    count = max(tuning.labels.least_images, tuning.labels.images // max(1, len(cameras)))
+    zones = {k: never_matching(seen[k], platforms[k], tuning) for k in level}
+    water = {} if settings.water == "off" else water_priors(zones, settings.water == "on", tuning)
     jobs = [
         LabelJob(
             camera=k, image=image, matchability=matched.get(image), zone=zones[k].mask if k in water else None,
@@ -217,12 +212,12 @@ def learn(
         )
         for k, images in cameras.items()
         for matched in [{e.image: e for e in seen[k]}]
-        for image in dict.fromkeys([*matched, *spread(images, count)])
+        for image in dict.fromkeys([*matched, *spread(images, tuning.each(len(cameras)))])
     ]  # fmt: skip
     # The first time: appearances, and the lowest row in which sky is searched
     labels = list(apply(first_labels, jobs))
     known = _appearances(jobs, labels, upward, tuning)
-    lowest = lowest_agreed([s.low for job, s in zip(jobs, labels) if not job.upward], tuning.labels)
+    lowest = lowest_agreed([s.low for job, s in zip(jobs, labels) if not job.upward], tuning)
     first = {
         k: Classifier(
             platform=platforms[k], table=known[k], water=water.get(k), sky=None,
@@ -243,11 +238,11 @@ def _proven(
 ) -> dict[int, Classifier]:
     """The second learning, without refuted skies; without any sky, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
-    known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.labels)
+    known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning)
     ties = {k: sum(_of(k, jobs, [s.matches for s in seeds]), MatchCounts()) for k in first}
-    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in set(first) - upward}, tuning.labels)
-    refuted = dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(without_sky(ties, tuning.proof), _NEAR)
-    white = white_ties((s.matches for s in seeds), tuning.proof)
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in set(first) - upward}, tuning)
+    refuted = dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(without_sky(ties, tuning), _NEAR)
+    white = white_ties((s.matches for s in seeds), tuning)
     dry = not asked and set(refuted) >= set(first) - upward
     made = {}
     for k, learnt in first.items():
@@ -262,13 +257,13 @@ def _of(camera: int, jobs: Sequence[LabelJob], items: Sequence) -> list:
     return [item for job, item in zip(jobs, items) if job.camera == camera]
 
 
-def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
+def lowest_agreed(rows: Sequence[float], tuning: Tuning) -> float:
     """The largest of ``rows`` (shares of the height, 0 = no sky) that enough others come close to; 0 if there is none.
 
     A border found in a wall or on a road lies anywhere; the horizon is in the same place in many images.
     """
     known = np.array([r for r in rows if r > 0])
-    near = [int(((known <= r) & (known > r - tuning.agreed)).sum()) for r in known]
+    near = [int(((known <= r) & (known > r - tuning.sky.horizon)).sum()) for r in known]
     enough = max(2, 0.1 * len(known))
     agreed = known[np.array(near) >= enough] if len(known) else known
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
@@ -283,20 +278,20 @@ def _appearances(
     """
     shared = {up: _looks([s for job, s in zip(jobs, seeds) if job.upward == up]) for up in (False, True)}
     own = {key: _looks(_of(key, jobs, seeds)) for key in {job.camera for job in jobs}}
-    return {key: learn_appearance(looks, tuning.classification, shared[key in upward]) for key, looks in own.items()}
+    return {key: learn_appearance(looks, tuning, shared[key in upward]) for key, looks in own.items()}
 
 
 def _looks(seeds: Sequence[Labels]) -> dict[int, np.ndarray]:
     return {label: np.sum([s.looks[label] for s in seeds], axis=0) for label in (USE, SKY, WATER)}
 
 
-def _places(jobs: Sequence[LabelJob], seeds: Sequence[Labels], tuning: LabelTuning) -> dict[int, np.ndarray]:
+def _places(jobs: Sequence[LabelJob], seeds: Sequence[Labels], tuning: Tuning) -> dict[int, np.ndarray]:
     """Log of P(place | sky) / P(place | scene), (r, c) f4, for each level camera that shows sky at all."""
     found = {}
     for camera in {job.camera for job in jobs if not job.upward}:
         own = [s.places for s in _of(camera, jobs, seeds) if s.places[SKY].any()]
         if own:
             sky, scene = (cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), 0.7) for c in (SKY, USE))
-            ratio = np.log((sky + tuning.place_seeds) / (scene + tuning.place_seeds))
-            found[camera] = np.clip(ratio, -tuning.place_clip, tuning.place_clip).astype(np.float32)
+            ratio = np.log((sky + 0.5) / (scene + 0.5))  # half an image for either, as Jeffreys has it
+            found[camera] = np.clip(ratio, -tuning.most_says / 3, tuning.most_says / 3).astype(np.float32)
     return found

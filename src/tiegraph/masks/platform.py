@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened, read_frames, read_small, small_shape
-from tiegraph.masks.tuning import PlatformTuning, QualityTuning, Tuning
+from tiegraph.masks.tuning import Tuning
 
 T = TypeVar("T")
 
@@ -27,10 +27,10 @@ _FOR_MARKS = 12  # images of a camera; more add time and no certainty
 def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
     """Images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
     # Frames tested when choosing those that differ
-    return _different(read_frames(spread(images, 160), tuning.frames.look_px), tuning.platform)
+    return _different(read_frames(spread(images, 160), tuning.look_px), tuning)
 
 
-def _different(images: Iterable[tuple[T, np.ndarray]], tuning: PlatformTuning) -> list[T]:
+def _different(images: Iterable[tuple[T, np.ndarray]], tuning: Tuning) -> list[T]:
     """The first of each pair with an image u1 BGR between which and the one chosen before most of the texture moved."""
     chosen: list[T] = []
     last: tuple[np.ndarray, np.ndarray] | None = None
@@ -38,7 +38,7 @@ def _different(images: Iterable[tuple[T, np.ndarray]], tuning: PlatformTuning) -
         detail = _detail(image, tuning)
         if last is not None and last[0].shape != detail[0].shape:
             continue
-        if last is not None and not _moved(last, detail, tuning) >= tuning.min_moved:
+        if last is not None and not _moved(last, detail, tuning) >= tuning.platform.min_moved:
             continue
         last = detail
         chosen.append(item)
@@ -50,20 +50,20 @@ def spread(items: Sequence[Path], most: int) -> list[Path]:
     return [items[k] for k in np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).astype(int))]
 
 
-def _detail(image: np.ndarray, tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
+def _detail(image: np.ndarray, tuning: Tuning) -> tuple[np.ndarray, np.ndarray]:
     """Detail (h, w) f4 of an image u1 BGR, of which the contrast is taken out, and that contrast."""
-    fine = np.log(grey(image).astype(np.float32) + tuning.dark_grey)
+    fine = np.log(grey(image).astype(np.float32) + tuning.faint_grey)
     fine -= _blur(fine, 4.0)  # what is coarser is no detail
-    contrast = np.sqrt(_blur(fine * fine, tuning.window_sigma_px))
+    contrast = np.sqrt(_blur(fine * fine, tuning.platform.window_sigma_px))
     return fine / (contrast + 0.01), contrast  # a contrast in log grey that counts half
 
 
-def _moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], tuning: PlatformTuning) -> float:
+def _moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], tuning: Tuning) -> float:
     """Share 0..1 of the texture of two images, by their ``_detail``, that has moved; NaN if they have none."""
-    both, own_a, own_b = (_blur(p, tuning.window_sigma_px) for p in (a[0] * b[0], a[0] * a[0], b[0] * b[0]))
+    both, own_a, own_b = (_blur(p, tuning.platform.window_sigma_px) for p in (a[0] * b[0], a[0] * a[0], b[0] * b[0]))
     alike = both / (np.sqrt(own_a * own_b) + 0.02)
-    textured = (a[1] > tuning.texture) & (b[1] > tuning.texture)
-    return float((alike[textured] < tuning.alike).mean()) if textured.any() else float("nan")
+    textured = np.minimum(a[1], b[1]) > tuning.platform.texture
+    return float((alike[textured] < tuning.platform.alike).mean()) if textured.any() else float("nan")
 
 
 def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -79,8 +79,8 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
         why = "one image" if count == 1 else f"{count} images, {len(different)} of them different: it hardly moves"
         return different, None, f"no platform learnt ({why}; {least} are needed)"
     # More add time and no certainty
-    frames = _of_one_shape([grey(image) for _, image in read_frames(spread(different, 28), tuning.frames.work_px)])
-    mask, marks = platform_of_frames(frames, tuning.platform)
+    frames = _of_one_shape([grey(image) for _, image in read_frames(spread(different, 28), tuning.work_px)])
+    mask, marks = platform_of_frames(frames, tuning)
     if len(frames) < 10:
         mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
     mask |= marks
@@ -92,13 +92,13 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
 def learn_marks(images: Sequence[Path], tuning: Tuning) -> np.ndarray | None:
     """What stands still in all images of one camera between which the scene moves, (h, w) bool: burnt-in text, scales,
     cross hairs, dirt, the border of a rectified image. None if there is nothing, or too few images differ."""
-    read = [image for _, image in read_frames(spread(images, _FOR_MARKS), tuning.frames.work_px)]
-    sizes = [small_shape(image.shape[:2], tuning.frames.look_px)[::-1] for image in read]
+    read = [image for _, image in read_frames(spread(images, _FOR_MARKS), tuning.work_px)]
+    sizes = [small_shape(image.shape[:2], tuning.look_px)[::-1] for image in read]
     looks = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image, size in zip(read, sizes)]
-    frames = _of_one_shape([grey(image) for image in _different(zip(read, looks), tuning.platform)])
+    frames = _of_one_shape([grey(image) for image in _different(zip(read, looks), tuning)])
     if len(frames) < tuning.platform.min_frames:
         return None
-    coherence, shake = _directions(frames, tuning.platform)[0], _shake_px(frames, tuning.platform)
+    coherence, shake = _directions(frames, tuning)[0], _shake_px(frames, tuning)
     marks = _marks(coherence, shake, _median(frames))
     return marks if marks.any() else None
 
@@ -120,44 +120,42 @@ def _of_one_shape(frames: list[np.ndarray]) -> list[np.ndarray]:
     return [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
 
 
-def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
+def platform_of_frames(frames: Sequence[np.ndarray], tuning: Tuning) -> tuple[np.ndarray, np.ndarray]:
     """Platform and marks (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
+    own = tuning.platform
     coherence, departs, textured = _directions(frames, tuning)
     shake, picture = _shake_px(frames, tuning), _median(frames)
     # Px that an edge may shake, the clearest more: a far scene shakes more
     still = np.where(coherence > _CLEAR, 0.5, _STILL_PX)
-    edges = coherence > tuning.coherent
+    edges = coherence > own.coherent
     fixed = _long(edges & (shake < still))
     borders = fixed & ~_strokes(fixed, picture)
     shaking = edges & (shake > 0.7)  # a coherent edge that shakes by more px moves
-    departs, textured = (_blur(np.maximum(share, shaking).astype(np.float32), 3.0) for share in (departs, textured))
+    around = own.window_sigma_px
+    departs, textured = (_blur(np.maximum(share, shaking).astype(np.float32), around) for share in (departs, textured))
     moving = departs / (textured + 0.06)  # where hardly any frame has texture, nothing moves
     # Darkest and brightest grey of each pixel over the frames, some left out at either end
     half = [_blur(cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), 1.0) for f in frames]
-    percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
-    extremes = np.percentile(np.stack(half), percent, axis=0).astype(np.float32)
+    extremes = np.quantile(np.stack(half), (own.left_out, 1 - own.left_out), axis=0).astype(np.float32)
     low, high = (cv2.resize(grey_level, frames[0].shape[::-1]) for grey_level in extremes)
-    steady = high - low < 14.0  # black boxes, burnt-out decks
-    inside = _outlined((moving < tuning.moving) & ~fixed, borders, tuning)
+    steady = high - low < tuning.faint_grey  # black boxes, burnt-out decks
+    inside = _outlined((moving < own.moving) & ~fixed, borders, tuning)
     platform = inside | borders
-    platform |= _outlined((steady | (moving < tuning.moving)) & ~platform, platform, tuning)
+    platform |= _outlined((steady | (moving < own.moving)) & ~platform, platform, tuning)
     platform = closed(platform, 7)  # gaps between edges and inside
-    platform = _at_border(platform, tuning.min_area)
-    platform = opened(platform | _enclosed(platform, moving), tuning.open_px)
-    platform = _at_border(platform, tuning.min_area)
+    platform = _at_border(platform, tuning.small)
+    platform = opened(platform | _enclosed(platform, moving), tuning.fine_px)
+    platform = _at_border(platform, tuning.small)
     # Without the blurred rim of its edges; parts narrower than a railing stay
-    side = 2 * round(tuning.rim * max(platform.shape)) + 1
-    platform = eroded(platform, side) | (platform & ~opened(platform, side + 2))
+    platform = eroded(platform, tuning.window_px) | (platform & ~opened(platform, tuning.window_px + 2))
     # Round the image of a fisheye lens nothing is ever seen
-    black = _outlined(high < 12.0, borders, tuning)  # a black backdrop ends nowhere in particular
-    black = _at_border(black, tuning.min_area)
-    # Its rim blurs by 4 px of 640
-    if black.any():
-        platform |= dilated(black, 2 * round((4 / 640) * max(black.shape)) + 1)
+    black = _outlined(high < tuning.faint_grey, borders, tuning)  # a black backdrop ends nowhere in particular
+    black = _at_border(black, tuning.small)
+    platform |= dilated(black, tuning.band_px)  # its rim blurs
     return platform, _marks(coherence, shake, picture)
 
 
-def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _directions(frames: Sequence[np.ndarray], tuning: Tuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Length (h, w) of the mean direction of the gradients over the frames; shares (h, w) of the frames whose gradient
     departs from that of the others, and which have texture."""
     unit = []
@@ -182,7 +180,7 @@ def _directions(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[n
     return coherence, departs / count, textured / count
 
 
-def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
+def _shake_px(frames: Sequence[np.ndarray], tuning: Tuning) -> np.ndarray:
     """How far the texture around each pixel moves against its median, pixels (0.7 of the frames move less).
 
     One step of Lucas and Kanade along the gradient of the median, on detail of which the contrast is taken out.
@@ -227,16 +225,16 @@ def _long(edges: np.ndarray) -> np.ndarray:
     return long[labels]
 
 
-def _outlined(region: np.ndarray, fixed: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
+def _outlined(region: np.ndarray, fixed: np.ndarray, tuning: Tuning) -> np.ndarray:
     """The parts of a region (h, w) whose outline follows fixed edges; the image border does not count."""
-    region = opened(region, tuning.open_px).astype(np.uint8)
+    region = opened(region, tuning.fine_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(region, connectivity=4)
     outline = (region > 0) & ~eroded(region, 3)
     outline[[0, -1]] = outline[:, [0, -1]] = False
     around = np.bincount(labels[outline], minlength=count)
     held = np.bincount(labels[outline & dilated(fixed, 7)], minlength=count)
     # Px of a region that its outline may judge
-    accepted = (held > tuning.outline * around) & (stats[:, cv2.CC_STAT_AREA] >= 40)
+    accepted = (held > tuning.platform.outline * around) & (stats[:, cv2.CC_STAT_AREA] >= 40)
     accepted[0] = False
     return accepted[labels]
 
@@ -271,40 +269,40 @@ def _enclosed(platform: np.ndarray, moving: np.ndarray) -> np.ndarray:
 def image_quality(image: Path, before: Path | None, use: np.ndarray, tuning: Tuning) -> tuple[float, float]:
     """Sharpness of an image, the share of its detail that is fine, and the share of its texture that moved since the
     one ``before``; on the pixels (h, w) bool that its mask uses, at any size. NaN where there is nothing to measure."""
-    here = read_small(image, tuning.frames.work_px)
-    sharp = _sharpness(grey(here), full_size(use, here.shape[:2]), tuning.quality)
+    here = read_small(image, tuning.work_px)
+    sharp = _sharpness(grey(here), full_size(use, here.shape[:2]), tuning)
     if before is None:
         return sharp, float("nan")
-    other = read_small(before, tuning.frames.look_px)
+    other = read_small(before, tuning.look_px)
     same = cv2.resize(here, other.shape[1::-1], interpolation=cv2.INTER_AREA)
-    return sharp, _moved(_detail(other, tuning.platform), _detail(same, tuning.platform), tuning.platform)
+    return sharp, _moved(_detail(other, tuning), _detail(same, tuning), tuning)
 
 
-def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: QualityTuning) -> float:
+def _sharpness(brightness: np.ndarray, use: np.ndarray, tuning: Tuning) -> float:
     # Detail of one pixel against detail of four: blur takes the first away, darkness and haze take both.
-    if use.mean() < tuning.min_used:
+    if use.mean() < tuning.part:
         return float("nan")
-    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), 0.7)  # the noise of pixels is taken out first
+    fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.smooth_sigma_px)
     medium, coarse = (cv2.GaussianBlur(fine, (0, 0), s) for s in (1.4, 5.6))
-    inner = eroded(use, tuning.rim_px)
+    inner = eroded(use, tuning.band_px)
     if not inner.any():
         return float("nan")
     energy = float(np.mean(np.square(medium - coarse)[inner]))
     return float(np.sqrt(np.mean(np.square(fine - medium)[inner]) / energy)) if energy > 0 else float("nan")
 
 
-def flags(quality: Sequence[tuple[float, float]], tuning: QualityTuning) -> list[str]:
+def flags(quality: Sequence[tuple[float, float]], tuning: Tuning) -> list[str]:
     """By ``image_quality`` of the images of a camera in order: why one is hardly worth keeping, with its figure; "" if
     it is."""
     sharp = np.array([sharpness for sharpness, _ in quality])
-    found, reach = [], tuning.neighbours
+    found, reach = [], tuning.quality.neighbours
     for k, (sharpness, moved) in enumerate(quality):
         around = np.delete(sharp[max(0, k - reach) : k + reach + 1], min(k, reach))
         around = around[np.isfinite(around)]
-        relative = sharpness / np.median(around) if len(around) >= tuning.least_neighbours else float("nan")
-        if relative < tuning.blurred:
+        relative = sharpness / np.median(around) if len(around) >= reach / 2 else float("nan")
+        if relative < tuning.quality.blurred:
             found.append(f"blurred: {relative:.2f} of its neighbours' sharpness")
-        elif moved < tuning.similar:
+        elif moved < tuning.quality.similar:
             found.append(f"similar: {100 * moved:.0f} % of its texture moved since the image before")
         else:
             found.append("")

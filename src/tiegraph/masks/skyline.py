@@ -9,10 +9,10 @@ import pycolmap
 
 from tiegraph.masks import SKY, USE
 from tiegraph.masks.frames import closed, dilated, eroded, full_size, grey, opened
-from tiegraph.masks.tuning import SkylineTuning, SkyPointsTuning
+from tiegraph.masks.tuning import Tuning
 
 
-def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None = None) -> np.ndarray | None:
+def border_sky(image: np.ndarray, tuning: Tuning, ego: np.ndarray | None = None) -> np.ndarray | None:
     """Sky (h, w) bool of an image (h, w, 3) u1 BGR from the top down to a border; None if none is plausible.
 
     A sky is calmer and brighter than the part below it, and not yellow. Clouds, bridges and up cameras break it:
@@ -37,11 +37,11 @@ def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None 
     sky = _best(small, borders, free, tuning)
     if sky is None or not _believable(small, gradient, sky & free, ~sky & free, tuning):
         return None
-    sky = eroded(sky & free, tuning.rim_px)
+    sky = eroded(sky & free, tuning.fine_px)
     return full_size(sky, image.shape[:2])
 
 
-def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
+def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: Tuning) -> np.ndarray | None:
     """The sky of the border with the largest energy J (equation 7), (h, w) bool; None if no border leaves two parts."""
     height, width = image.shape[:2]
     pixels = image.astype(np.float64)
@@ -51,7 +51,7 @@ def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: Skyl
     total = below_row[-1].sum(axis=0)
     sums = below_row[borders, np.arange(width)].sum(axis=1)  # (T, 13)
     share = sums[:, 0] / max(total[0], 1)
-    usable = (share > tuning.min_share) & (share < 0.85)
+    usable = (share > tuning.part) & (share < 0.85)
     if not usable.any():
         return None
     # Shen and Wang, section 3, have the sky count twice
@@ -69,30 +69,28 @@ def _spread(sums: np.ndarray) -> np.ndarray:
     return values.prod(axis=1) + values[:, -1]
 
 
-def _believable(
-    image: np.ndarray, gradient: np.ndarray, sky: np.ndarray, ground: np.ndarray, tuning: SkylineTuning
-) -> bool:
-    inner = eroded(sky, tuning.inner_px)
+def _believable(image: np.ndarray, gradient: np.ndarray, sky: np.ndarray, ground: np.ndarray, tuning: Tuning) -> bool:
+    inner = eroded(sky, tuning.window_px)
     if not inner.any() or not ground.any():
         return False
     yellow, brightness = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2], grey(image)
-    if brightness[sky].mean() < max(60.0, brightness[ground].mean() + 12.0):
+    if brightness[sky].mean() < max(60.0, brightness[ground].mean() + tuning.faint_grey):
         return False
     if np.median(yellow[sky]) > 128 + 10.0:  # sand and sunlit plaster are yellow
         return False
     return float(gradient[inner].mean()) < 0.5 * float(gradient[ground].mean())
 
 
-def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
+def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: Tuning) -> np.ndarray | None:
     """Sky (h, w) bool in an image that looks up: large, calm, bright areas without a matched feature; None = none.
 
     ``matched`` (h, w) bool: round the features that were found again in another frame.
     """
     brightness = grey(image).astype(np.float32)
-    around = (tuning.inner_px, tuning.inner_px)
+    around = (tuning.window_px, tuning.window_px)
     mean = cv2.blur(brightness, around)
     deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, around) - mean * mean, 0))
-    calm = eroded((deviation < 4.0) & ~matched, tuning.rim_px).astype(np.uint8)
+    calm = eroded((deviation < 4.0) & ~matched, tuning.fine_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
     light = np.bincount(labels.ravel(), brightness.ravel(), minlength=count) / np.maximum(stats[:, cv2.CC_STAT_AREA], 1)
     sky = (stats[:, cv2.CC_STAT_AREA] >= 0.03 * calm.size) & (light >= 90.0)  # darker ones are bridges
@@ -100,34 +98,33 @@ def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTunin
     return sky[labels] if sky.any() else None
 
 
-def places(image: pycolmap.Image, camera: pycolmap.Camera, points: np.ndarray, tuning: SkyPointsTuning) -> np.ndarray:
+def places(image: pycolmap.Image, camera: pycolmap.Camera, points: np.ndarray, tuning: Tuning) -> np.ndarray:
     """Where points (P, 3) of a model lie in a registered image, hidden or not: (K, 2) f4 shares of width and height."""
     pose = image.cam_from_world().matrix()
     local = points @ pose[:, :3].T + pose[:, 3]
     local = local[local[:, 2] > 0]
-    local = local[np.abs(local[:, :2]).max(axis=1) < tuning.widest * local[:, 2]]
+    local = local[np.abs(local[:, :2]).max(axis=1) < tuning.sky.widest * local[:, 2]]
     share = np.asarray(camera.img_from_cam(local)).reshape(-1, 2) / (camera.width, camera.height)
     return share[((share >= 0) & (share < 1)).all(axis=1)].astype(np.float32)
 
 
-def without_points(classes: np.ndarray, points: np.ndarray, tuning: SkyPointsTuning) -> np.ndarray:
+def without_points(classes: np.ndarray, points: np.ndarray, tuning: Tuning) -> np.ndarray:
     """Classes (h, w) u1 without the pieces of sky that points of the model lie in; ``points`` as of ``places``."""
     sky = (classes == SKY).astype(np.uint8)
-    if not sky.any() or sky.all() or len(points) < tuning.least_points:
+    if not sky.any() or sky.all() or len(points) < tuning.witnesses:
         return classes
     height, width = sky.shape
     hit = np.zeros((height, width), np.uint8)
     column, row = (points * (width, height)).astype(int).T
     hit[row.clip(0, height - 1), column.clip(0, width - 1)] = 1
     outside = float(hit[sky == 0].mean())
-    joint, hole, edge = (2 * round(s * max(sky.shape) / 2) + 1 for s in (tuning.joint, tuning.hole, tuning.edge))
-    count, labels = cv2.connectedComponents(opened(sky, joint).astype(np.uint8), connectivity=4)
+    count, labels = cv2.connectedComponents(opened(sky, tuning.window_px).astype(np.uint8), connectivity=4)
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
         own = labels == piece
-        inner = eroded(closed(own, hole), edge)
+        inner = eroded(closed(own, tuning.reach_px), tuning.band_px)
         found = int(hit[inner].sum())
-        if found >= tuning.least_points and found > tuning.dense * outside * inner.sum():
+        if found >= tuning.witnesses and found > tuning.dense * outside * inner.sum():
             solid |= own
-    grown = dilated(solid, joint)  # what the opening took off
+    grown = dilated(solid, tuning.window_px)  # what the opening took off
     return np.where(grown & (sky > 0), USE, classes).astype(np.uint8)

@@ -101,14 +101,14 @@ def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[s
     if all(len(r.sensors) < 2 for r in scene.rigs):
         return "marks", f"a single camera: name another source if its platform is in view; {still}"
     fewest = int(np.bincount(scene.sensor_key, minlength=len(scene.all_sensors)).min())
-    if fewest < tuning.auto_frames:
-        return "marks", f"a camera has only {fewest} frames, fewer than {tuning.auto_frames}; {still}"
+    if fewest < tuning.platform.min_frames:
+        return "marks", f"a camera has only {fewest} frames, fewer than {tuning.platform.min_frames}; {still}"
     return "learnt", "a rig that moves along a path"
 
 
 def check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None, tuning: Tuning) -> None:
     """Raises InputError for an image whose shape is not that of the mask of its camera, if there is one."""
-    if prepared is not None and prepared.shape != small_shape(size, tuning.frames.work_px):
+    if prepared is not None and prepared.shape != small_shape(size, tuning.work_px):
         raise InputError(
             f"{image}: {size[1]} x {size[0]} pixels, not the shape of the other images of its camera, which share "
             "a mask; put images of another camera into another folder, or set masks.source = sky or none"
@@ -125,7 +125,7 @@ def _prepare_learnt(
 ) -> dict[int, Classifier]:
     upward = [key for key, camera in cameras.items() if camera.upward]
     lenses = {camera.lens or key for key, camera in cameras.items() if not camera.upward}
-    if settings.water == "auto" and len(lenses) < tuning.water.least_cameras:  # views of one lens are one witness
+    if settings.water == "auto" and len(lenses) < tuning.witnesses:  # views of one lens are one witness
         settings = settings.model_copy(update={"water": "off"})
     return learn({key: camera.images for key, camera in cameras.items()}, settings, tuning, upward, apply)
 
@@ -133,7 +133,7 @@ def _prepare_learnt(
 def _learnt(image: Path, prepared: Classifier, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     size = image_size(image)
     check_shape(image, size, prepared.platform, tuning)
-    return classes_of(image, prepared, settings, small_shape(size, tuning.frames.work_px), tuning)
+    return classes_of(image, prepared, settings, small_shape(size, tuning.work_px), tuning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def _find_marks(images: Sequence[Path], settings: MasksSettings, tuning: Tuning)
 
 def _without_marks(image: Path, prepared: Marks, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     size = image_size(image)
-    if prepared.marks is None or prepared.marks.shape != small_shape(size, tuning.frames.work_px):
+    if prepared.marks is None or prepared.marks.shape != small_shape(size, tuning.work_px):
         return np.ones(size, bool)
     return ~prepared.marks
 
@@ -235,7 +235,7 @@ def _read_model(images: Sequence[Path], settings: MasksSettings, tuning: Tuning)
 
 
 def _by_model(image: Path, prepared: Model, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
-    return model_classes(read_small(image, tuning.frames.work_px), prepared)
+    return model_classes(read_small(image, tuning.work_px), prepared)
 
 
 SOURCES: dict[str, MaskSource] = {

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from tiegraph.masks import EGO, SKY, USE, WATER
 from tiegraph.masks.frames import without_small
 from tiegraph.masks.matchability import Matchability
-from tiegraph.masks.tuning import WaterlineTuning, WaterTuning
+from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.graph import best_line
 from tiegraph.scene.rig import pixel_rays
 
@@ -31,12 +31,12 @@ class Zone:
     says: float
 
 
-def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tuning: WaterTuning) -> Zone:
+def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tuning: Tuning) -> Zone:
     """The zone of a camera's images that no match ever falls into, up from the bottom or the platform.
 
     Roads and meadows match now and then and are no such zone; places without texture are unknown.
     """
-    rows, columns = tuning.grid
+    (rows, columns), own = tuning.water.grid, tuning.water
     matched, missed = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
     for found in evidence:
         row, column = (np.minimum((found.xy[:, k] * n).astype(int), n - 1) for k, n in ((1, rows), (0, columns)))
@@ -49,37 +49,32 @@ def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tun
     # Share of the scene's features that match in each column of the map
     upper = slice(0, int(0.6 * rows))  # in the upper part there is little water
     good, every = (cv2.GaussianBlur(m[upper].sum(axis=0)[None], (0, 0), 3.0)[0] for m in (matched, matched + missed))
-    rate = np.clip(good / np.maximum(every, 1e-6), tuning.min_scene_rate, tuning.max_scene_rate)
-    in_water = tuning.water_rate
-    exact = matched * np.log(in_water / rate) + missed * np.log((1 - in_water) / (1 - rate))
-    cells = 2 * np.pi * tuning.reach_cells**2
-    says = cv2.GaussianBlur(exact, (0, 0), tuning.reach_cells) * cells * 0.25
-    zone = below_waterline(says, platform, tuning, (1, 1))
-    top = np.where(zone.any(axis=0), zone.argmax(axis=0), rows)
-    zone = without_small(zone & (top >= tuning.highest * rows)[None], tuning.min_area * zone.size)
-    prior = np.clip(says, -tuning.prior_clip, tuning.prior_clip)
-    return Zone(zone, prior, float(exact[zone].sum()))
+    rate = np.clip(good / np.maximum(every, 1e-6), own.water_rate, own.scene_rate)
+    exact = matched * np.log(own.water_rate / rate) + missed * np.log((1 - own.water_rate) / (1 - rate))
+    cells = 2 * np.pi * own.reach_cells**2
+    says = cv2.GaussianBlur(exact, (0, 0), own.reach_cells) * cells * 0.25
+    zone = below_waterline(says, platform, tuning)
+    zone = without_small(zone, tuning.part * zone.size)
+    return Zone(zone, np.clip(says, -tuning.most_says / 3, tuning.most_says / 3), float(exact[zone].sum()))
 
 
-def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: WaterTuning) -> dict[int, np.ndarray]:
+def water_priors(zones: Mapping[int, Zone], asked: bool, tuning: Tuning) -> dict[int, np.ndarray]:
     """The prior of water in the images of each level camera; {} if no water is accepted.
 
-    Accepted if most of at least ``least_cameras`` show it, or if there is a zone and water was ``asked`` for. A camera
+    Accepted if most of at least ``witnesses`` show it, or if there is a zone and water was ``asked`` for. A camera
     with too few matches of its own has the others' prior by rows.
     """
-    wet = [z for z in zones.values() if z.says >= tuning.zone_says]
-    several = len(zones) >= tuning.least_cameras and len(wet) >= tuning.least_share * len(zones)
-    sure = several and sum(z.says for z in wet) >= tuning.least_says
+    wet = [z for z in zones.values() if z.says >= tuning.water.zone_says]
+    several = len(zones) >= tuning.witnesses and 2 * len(wet) > len(zones)
+    sure = several and sum(z.says for z in wet) >= tuning.water.least_says
     if not wet or not (asked or sure):
         return {}
     rows = np.mean([z.prior.mean(axis=1) for z in wet], axis=0)
-    borrowed = np.repeat(rows[:, None], tuning.grid[1], axis=1).astype(np.float32)
-    return {k: z.prior if z.says >= tuning.zone_says else borrowed for k, z in zones.items()}
+    borrowed = np.repeat(rows[:, None], tuning.water.grid[1], axis=1).astype(np.float32)
+    return {k: z.prior if z.says >= tuning.water.zone_says else borrowed for k, z in zones.items()}
 
 
-def below_waterline(
-    ratio: np.ndarray, ego: np.ndarray | None, tuning: WaterTuning, block_px: tuple[int, int] | None = None
-) -> np.ndarray:
+def below_waterline(ratio: np.ndarray, ego: np.ndarray | None, tuning: Tuning) -> np.ndarray:
     """Water (h, w) bool: everything below the line that best separates water from the rest, but not the platform.
 
     ``ratio`` (h, w) f4: log of P(appearance | water) / P(appearance | not water). The line runs through every column,
@@ -87,15 +82,14 @@ def below_waterline(
     programming over the columns of blocks.
     """
     height, width = ratio.shape
-    block = block_px or tuning.block_px
-    credit = np.clip(ratio, -tuning.max_credit, tuning.max_credit)
+    credit = np.clip(ratio, -tuning.most_says, tuning.most_says)
     if ego is not None:
         credit = np.where(ego, 0, credit)
-    rows, columns = max(1, height // block[1]), max(1, width // block[0])
-    blocks = cv2.resize(credit, (columns, rows), interpolation=cv2.INTER_AREA) * block[1]
+    rows, columns = np.minimum(tuning.water.grid, ratio.shape).tolist()
+    blocks = cv2.resize(credit, (columns, rows), interpolation=cv2.INTER_AREA) * height / rows
     gain = np.zeros((columns, rows + 1))  # of a line above row r: the credit of all rows from r on
     gain[:, :rows] = np.cumsum(blocks.T[:, ::-1], axis=1)[:, ::-1]
-    line = best_line(gain, 0.35 * block[1])  # for each row between neighbouring columns
+    line = best_line(gain, 0.35 * height / rows)  # for each row between neighbouring columns
     line_px = np.interp(np.arange(width), (np.arange(columns) + 0.5) * width / columns - 0.5, line) * height / rows
     water = np.arange(height)[:, None] + 0.5 > line_px
     return water if ego is None else water & ~ego
@@ -115,12 +109,12 @@ class View:
         return rise / np.maximum(np.sqrt(np.maximum(1 - rise * rise, 0)), 1e-6)
 
 
-def columns(width: int, tuning: WaterlineTuning) -> np.ndarray:
-    """The columns (C,) in which the bank is searched."""
-    return np.arange(tuning.column_px // 2, width, tuning.column_px)
+def columns(width: int, tuning: Tuning) -> np.ndarray:
+    """The columns (C,) in which the bank is searched: the middles of those of the map."""
+    return ((np.arange(tuning.water.grid[1]) + 0.5) * width / tuning.water.grid[1]).astype(int)
 
 
-def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...], tuning: WaterlineTuning) -> np.ndarray:
+def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...], tuning: Tuning) -> np.ndarray:
     """Unit rays (h, C, 3) of the pixels of ``columns(w)`` of an image reduced to ``shape`` = (h, w), in camera axes."""
     across, down = np.meshgrid(columns(shape[1], tuning) + 0.5, np.arange(shape[0]) + 0.5)
     pixels = np.stack([across * camera.width / shape[1], down * camera.height / shape[0]], axis=-1)
@@ -163,7 +157,7 @@ class Water:
     plan: Plan
 
 
-def first_line(classes: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
+def first_line(classes: np.ndarray, tuning: Tuning) -> np.ndarray:
     """First row (C,) of water in classes (h, w) u1, at ``columns(w)``; NaN where there is none or where the platform
     hides the bank."""
     own = classes[:, columns(classes.shape[1], tuning)]
@@ -174,7 +168,7 @@ def first_line(classes: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
 
 
 def find_water(
-    views: Sequence[View], lines: Sequence[np.ndarray], points: np.ndarray, up: np.ndarray, tuning: WaterlineTuning
+    views: Sequence[View], lines: Sequence[np.ndarray], points: np.ndarray, up: np.ndarray, tuning: Tuning
 ) -> Water | None:
     """The water's plane and the banks, from ``first_line`` of level views and the points (P, 3) of the model.
 
@@ -190,7 +184,7 @@ def find_water(
         return None
     level, spread, count = float(np.quantile(below, 0.05)), 0.0, 0
     for _ in range(2):
-        plan = _plan(points, up, (level, level + tuning.band * (camera - level)), centres, tuning)
+        plan = _plan(points, up, (level, level + tuning.water.band * (camera - level)), centres, tuning)
         found = np.concatenate([_heights(v, line, plan, up) for v, line in zip(views, lines)])
         if len(found) < 100:
             return None
@@ -203,9 +197,7 @@ def find_water(
     return Water(level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
 
 
-def _plan(
-    points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray, tuning: WaterlineTuning
-) -> Plan:
+def _plan(points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray, tuning: Tuning) -> Plan:
     """The banks: points (P, 3) whose height is within ``band``, within reach of the cameras."""
     first = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
     first /= np.linalg.norm(first)
@@ -220,12 +212,12 @@ def _plan(
         return Plan(axes=axes, corner=np.zeros(2), cell=1.0, full=np.zeros((1, 1), bool))
     corner = np.minimum(flat.min(axis=0), path.min(axis=0))
     size = np.maximum(flat.max(axis=0), path.max(axis=0)) - corner
-    cell = max(float(size.max()) / tuning.cells, 1e-9)
+    cell = max(float(size.max()) / tuning.water.cells, 1e-9)
     place = np.floor((flat - corner) / cell).astype(int)
     count = np.zeros(place.max(axis=0) + 1, np.float32)
     np.add.at(count, (place[:, 0], place[:, 1]), 1)
     around = cv2.blur(count, (3, 3), borderType=cv2.BORDER_CONSTANT) * 9
-    return Plan(axes=axes, corner=corner, cell=cell, full=around > tuning.full - 0.5)
+    return Plan(axes=axes, corner=corner, cell=cell, full=around > tuning.witnesses - 0.5)
 
 
 def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray) -> np.ndarray:
@@ -272,7 +264,7 @@ def _first(below: np.ndarray) -> np.ndarray:
     return np.where(below.any(axis=0), below.argmax(axis=0), len(below)).astype(np.float64)
 
 
-def final_classes(first: np.ndarray, lines: Lines, tuning: WaterlineTuning) -> np.ndarray:
+def final_classes(first: np.ndarray, lines: Lines, tuning: Tuning) -> np.ndarray:
     """The classes (h, w) u1 of the first pass, with the water from geometry where it is known, and no sky below the
     horizon. The platform stays as it was learnt."""
     height, width = first.shape

@@ -6,7 +6,7 @@ Masks (section b): what differs little between two images of a camera is the pla
 way out and the way back, one frame offset is voted on sampled frames, and the best matching image around it is listed.
 Mapping (section d): COLMAP, by the masks and the list, with nothing known of the rig. Its baseline (section a) and that
 of paper 001 (section c) is brute force without masks. The constants that the paper does not print are
-``masks.tuning.Meguro2024Tuning`` and ``network.tuning.ConstantTuning``.
+``masks.tuning.PapersTuning`` and ``network.tuning.ConstantTuning``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from tiegraph.masks.frames import full_size, image_size, opened_closed, small_sh
 from tiegraph.masks.learnt import Map
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import Camera, MaskSource, check_shape, each
-from tiegraph.masks.tuning import Meguro2024Tuning
+from tiegraph.masks.tuning import PapersTuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network import axes
 from tiegraph.network.axes import allowed_within
@@ -35,7 +35,7 @@ from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import among_best, evenly
 
 
-def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:
+def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: PapersTuning) -> np.ndarray:
     """Mask (h, w) bool, True = use, of two grey images (h, w) u1 of one camera. Paper 000, section b, in its order."""
     # "Image difference ... detects areas in the image where the pixel difference is small"; white = differs = use.
     difference = cv2.absdiff(a, b)
@@ -53,8 +53,8 @@ def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro
 
 def prepare_difference(images: Sequence[Path], settings: MasksSettings, tuning: MasksTuning) -> np.ndarray | None:
     """The one mask of a camera, (h, w) bool at reduced size; None if there are no two frames to compare."""
-    frames = two_frames(images, tuning.frames)
-    return None if frames is None else difference_mask(*frames, settings.difference, tuning.meguro2024)
+    frames = two_frames(images, tuning)
+    return None if frames is None else difference_mask(*frames, settings.difference, tuning.papers)
 
 
 def prepare(
@@ -63,7 +63,7 @@ def prepare(
     """The masks of all cameras; of one that looks up nothing is used: "the images from the five side cameras are
     used", the top one "was not used in this study"."""
     side = each(prepare_difference)({k: c for k, c in cameras.items() if not c.upward}, settings, tuning)
-    up = {k: small_shape(image_size(c.images[0]), tuning.frames.work_px) for k, c in cameras.items() if c.upward}
+    up = {k: small_shape(image_size(c.images[0]), tuning.work_px) for k, c in cameras.items() if c.upward}
     return side | {k: np.zeros(shape, bool) for k, shape in up.items()}
 
 

@@ -6,7 +6,7 @@ then sky and overexposure of each image. Network (section b): neighbouring frame
 of frames around one offset, the one with the most matches (``meguro2024.constant_offsets``); and by the brightness of
 the upward camera's pixels the frames below bridges, for which separate lists are made. Mapping: COLMAP, by masks and
 lists, each section by itself; positions of GNSS bring them together afterwards. The constants that the paper does not
-print are ``masks.tuning.Meguro2025Tuning``.
+print are ``masks.tuning.PapersTuning``.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ from tiegraph.masks.frames import (
 )
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each, nothing
-from tiegraph.masks.tuning import Meguro2025Tuning
+from tiegraph.masks.tuning import PapersTuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.sections import UpLight, otsu
 from tiegraph.papers import colmap_alone
@@ -58,14 +58,14 @@ def ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return luminance * (2 * cov + _C2) / (var_x + var_y + _C2)
 
 
-def initial_mask(a: np.ndarray, b: np.ndarray, similarity: float, tuning: Meguro2025Tuning) -> np.ndarray:
+def initial_mask(a: np.ndarray, b: np.ndarray, similarity: float, tuning: PapersTuning) -> np.ndarray:
     """Mask (h, w) bool, True = use, of two grey images (h, w) u1 of one camera. Paper 001, section a, first stage."""
     # "Pixels with high similarity are considered outside the region of interest ... and are masked".
     masked = ssim(a, b) > similarity
     # "Blocks with a ratio of masked pixels below a certain threshold are excluded".
     blocks = block_share(masked, tuning.block_px) >= tuning.min_block
     # "a labeling process removes small isolated regions, such as noise, while retaining larger, contiguous regions".
-    blocks = without_small(blocks, tuning.min_region_blocks)
+    blocks = without_small(blocks, tuning.min_area * blocks.size)
     # "If three or more adjacent blocks are marked as "1" (i.e., masked), the central block is also set to "0"": read
     # as COLMAP's 0 (ignore), since "also" says that the block joins its neighbours. Unmasking it instead would hollow
     # out every region the step before retained. Adjacent = sharing a side: counted with corners, straight edges grow.
@@ -75,8 +75,8 @@ def initial_mask(a: np.ndarray, b: np.ndarray, similarity: float, tuning: Meguro
 
 def prepare_ssim(images: Sequence[Path], settings: MasksSettings, tuning: MasksTuning) -> np.ndarray | None:
     """The initial mask of a camera, (h, w) bool at reduced size; None if there are no two frames to compare."""
-    frames = two_frames(images, tuning.frames)
-    return None if frames is None else initial_mask(*frames, settings.similarity, tuning.meguro2025)
+    frames = two_frames(images, tuning)
+    return None if frames is None else initial_mask(*frames, settings.similarity, tuning.papers)
 
 
 def edge_sky(brightness: np.ndarray, min_step: float) -> np.ndarray:
@@ -90,13 +90,13 @@ def edge_sky(brightness: np.ndarray, min_step: float) -> np.ndarray:
     return ~np.logical_or.accumulate(edge, axis=0)
 
 
-def blue_sky(image: np.ndarray, tuning: Meguro2025Tuning) -> np.ndarray:
+def blue_sky(image: np.ndarray, tuning: PapersTuning) -> np.ndarray:
     """Pixels (h, w) bool of an image (h, w, 3) u1 BGR in the range of sky blue; none in a grey image."""
     return cv2.inRange(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), tuning.blue_low, tuning.blue_high) > 0
 
 
 def final_mask(
-    image: np.ndarray, initial: np.ndarray | None, settings: MasksSettings, tuning: Meguro2025Tuning
+    image: np.ndarray, initial: np.ndarray | None, settings: MasksSettings, tuning: PapersTuning
 ) -> np.ndarray:
     """Mask (h, w) bool, True = use, of an image (h, w, 3) u1 BGR. Paper 001, section a, final stage, in its order.
 
@@ -125,8 +125,8 @@ def mask_with_sky(
     """The mask of an image, (H, W) bool at its size, from that of its camera (None = nothing masked yet)."""
     size = image_size(image)
     check_shape(image, size, prepared, tuning)
-    small = read_small(image, tuning.frames.work_px)
-    return full_size(final_mask(small, prepared, settings, tuning.meguro2025), size)
+    small = read_small(image, tuning.work_px)
+    return full_size(final_mask(small, prepared, settings, tuning.papers), size)
 
 
 MASKS = MaskSource(each(prepare_ssim), mask_with_sky)

@@ -142,7 +142,7 @@ def _flagged(run: Run, scene: Scene) -> dict[str, str]:
     for camera in _cameras(scene, Path()).values():
         names = [p.as_posix() for p in camera.images]
         quality = run.map(_quality, zip(names, [None, *names[:-1]]), run.folder, tuning)
-        found.update({n: why for n, why in zip(names, flags(quality, tuning.quality)) if why})
+        found.update({n: why for n, why in zip(names, flags(quality, tuning)) if why})
     return dict(sorted(found.items()))
 
 
@@ -190,7 +190,7 @@ def _known(
     if not any(files.classes_path(run.folder, n).exists() for n in scene.names):
         return {}, None, ("the first masks do not say what is sky and water: they are the final ones",)
     model = files.load_model(run.path("sparse", "world"))
-    least = run.settings.tuning.masks.refine.least_track
+    least = run.settings.tuning.masks.witnesses
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
     lines, water, notes = _lines(run, scene, model, points)
@@ -199,14 +199,14 @@ def _known(
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
     tuning = run.settings.tuning.masks
-    most = tuning.refine.most_points
+    most = 20_000  # the nearest points, which are searched in the sky of an image: a bound of time
     tree = cKDTree(points) if len(points) > most else None
     seen = {}
     for image in model.images.values():
         if not image.has_pose or not files.classes_path(run.folder, image.name).exists():
             continue
         near = points if tree is None else points[tree.query(image.projection_center(), most)[1]]
-        seen[image.name] = places(image, model.cameras[image.camera_id], near, tuning.sky_points)
+        seen[image.name] = places(image, model.cameras[image.camera_id], near, tuning)
     return seen
 
 
@@ -224,7 +224,7 @@ def _lines(
     if up is None or not up.ring:
         return {}, None, ("no ring of cameras defines the vertical: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
-    tuning = run.settings.tuning.masks.waterline
+    tuning = run.settings.tuning.masks
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
     count = min(240, len(level))  # views whose waterlines measure the water's height
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
@@ -252,7 +252,7 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
         camera = ids[name]
         if camera not in grids:
             shape = files.read_image(files.classes_path(run.folder, name)).shape[:2]
-            grids[camera] = waterline.camera_rays(model.cameras[camera], shape, run.settings.tuning.masks.waterline)
+            grids[camera] = waterline.camera_rays(model.cameras[camera], shape, run.settings.tuning.masks)
         rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
         views[name] = waterline.View(grids[camera] @ rotation, -rotation.T @ shift)
     return views
@@ -267,8 +267,8 @@ def _final_item(
     if known is not None and classes.exists():
         points, lines = known
         first, use = files.read_image(classes), files.read_mask(folder, name)
-        found = first if lines is None else waterline.final_classes(first, lines, tuning.waterline)
-        found = without_points(found, points, tuning.sky_points)
+        found = first if lines is None else waterline.final_classes(first, lines, tuning)
+        found = without_points(found, points, tuning)
         if use.any() and (found != first).any():
             files.save_png(files.classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]
