@@ -122,7 +122,7 @@ def without_points(classes: np.ndarray, points: np.ndarray, tuning: Tuning) -> n
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
         own = labels == piece
-        inner = eroded(closed(own, tuning.reach_px), tuning.band_px)
+        inner = eroded(closed(own, tuning.sky.hole_px), tuning.band_px)
         found = int(hit[inner].sum())
         if found >= tuning.witnesses and found > tuning.dense * outside * inner.sum():
             solid |= own
