@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin, crs_transformer, geodetic_from_world, make_origin, world_from_geodetic
-from tiegraph.geometry.gravity import UpTuning, levelled, up_vector
+from tiegraph.geometry.gravity import UpTuning, levelled, looking_up, up_vector
 from tiegraph.geometry.stereo import Pinhole, rectify, rectifying_rotation, usable_rays
 from tiegraph.geometry.transforms import Similarity, cross, level_umeyama, off_plane, robust_umeyama, umeyama, unit_rays
 
@@ -165,6 +165,18 @@ def test_cameras_all_round_say_which_way_is_up(yaws: tuple[float, float], ring: 
         assert up is not None and up.ring == ring and up.tilt and up.direction[2] > 0.99
         if ring:
             assert up.sigma_deg == pytest.approx(max(size, 3.0), rel=0.1)
+
+
+def test_a_camera_that_looks_up_does_not_tilt_the_ring() -> None:
+    """Five level cameras and one that looks up, of a boat that goes straight on: its top points ahead."""
+    own = [Rotation.from_euler("Z", 72.0 * k, degrees=True).as_matrix() @ LEVEL for k in range(5)]
+    turns = np.array([*own, Rotation.from_euler("X", 90.0, degrees=True).as_matrix() @ LEVEL] * 4)
+    poses, frame = transforms.rigid(np.swapaxes(turns, 1, 2), np.zeros((24, 3))), np.repeat(np.arange(4), 6)
+    assert looking_up(poses, frame).tolist() == [False] * 5 + [True] + ([False] * 5 + [True]) * 3
+    poses[3] = np.nan
+    assert looking_up(poses, frame).sum() == 4
+    up = up_vector(poses, frame, TUNING)
+    assert up is not None and up.ring and up.sigma_deg == TUNING.ring_sigma_deg and _off_deg(up) < 1e-3
 
 
 def _held(headings_deg, pitch_deg, roll_deg, rng):

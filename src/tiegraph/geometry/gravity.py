@@ -46,14 +46,14 @@ class Up:
 
 
 def up_vector(cam_from_world: np.ndarray, frame: np.ndarray, tuning: UpTuning) -> Up | None:
-    """By cameras (N, 4, 4; NaN = no pose) that look to the side, each of a frame (N,): of a ring their mean -y, of
+    """By cameras (N, 4, 4; NaN = no pose), each of a frame (N,), that do not look up: of a ring their mean -y, of
     others the direction across their x axes, or again the mean -y where these do not span the horizon; None when they
     do not agree.
 
     The sigma of cameras all round is 3 deg, or more where the platform itself leans so much from frame to frame (a
     camera on a pole).
     """
-    use = np.isfinite(cam_from_world).all(axis=(1, 2))
+    use = np.isfinite(cam_from_world).all(axis=(1, 2)) & ~looking_up(cam_from_world, frame)
     if not use.any() or tuning.agreement == 1:
         return None
     turns = cam_from_world[use, :3, :3]
@@ -74,6 +74,18 @@ def up_vector(cam_from_world: np.ndarray, frame: np.ndarray, tuning: UpTuning) -
     leaning = np.degrees(np.arccos(np.clip(top[several] @ mean / np.linalg.norm(top[several], axis=1), -1, 1)))
     sigma = max(tuning.ring_sigma_deg, float(np.sqrt(np.mean(leaning**2))))
     return Up(direction=mean, sigma_deg=sigma, ring=True, tilt=True, cameras="the ring of side cameras")
+
+
+def looking_up(cam_from_world: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """(N,) bool: cameras (N, 4, 4; NaN = no pose) whose axis is within 45 degrees of the mean top of the images of
+    their frame (N,)."""
+    posed = np.isfinite(cam_from_world).all(axis=(1, 2))
+    at, tops = frame[posed], -cam_from_world[posed, 1, :3]
+    mean = np.stack([np.bincount(at, v, minlength=int(frame.max(initial=0)) + 1) for v in tops.T], axis=1)
+    out = np.zeros(len(frame), bool)
+    along = np.sum(cam_from_world[posed, 2, :3] * mean[at], axis=1)
+    out[posed] = along > np.sqrt(0.5) * np.linalg.norm(mean[at], axis=1)
+    return out
 
 
 def across_horizon(turns: np.ndarray, tuning: UpTuning) -> Up | None:

@@ -66,7 +66,7 @@ STAGES = (
            scratch=("database.db.match",), tuned=("features",)),
     _stage("sparse", ("preview", "coarse", "network", "match"), ("sparse",), version=40,
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),
-    _stage("georef", ("network", "match", "sparse"), ("sparse/world", "world.json"), version=29,
+    _stage("georef", ("network", "match", "sparse"), ("sparse/world", "world.json"), version=30,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=5,
            tuned=("masks", "sfm")),

@@ -1,6 +1,7 @@
 """Glue of masks and refine: the usable pixels of the images for features, and the same corrected by the model."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph import papers
 from tiegraph.errors import choose
-from tiegraph.geometry.gravity import up_vector
+from tiegraph.geometry.gravity import looking_up, up_vector
 from tiegraph.masks import EGO, NAMES, USE, WATER, waterline
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.platform import flags, image_quality
@@ -23,7 +24,7 @@ from tiegraph.plugins import chosen
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.atomic import same_file
-from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.colmapmodel import image_poses
 from tiegraph.scene.decoding import opaque
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.wideviews import lit
@@ -38,11 +39,8 @@ def masks(run: Run) -> Outcome:
     prepared: dict[int, Any] = {}
     if any(not files.mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, run.map)
-    circles = [lit(s, tuning.fisheye_half_deg) for s in scene.all_sensors]
-    keys = enumerate(scene.sensor_key.tolist())
-    known = {scene.names[k]: (prepared.get(key), circles[key], scene.mask_name(k)) for k, key in keys}
-    of = run.folder, source, settings, tuning, known
-    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), *of)
+    look = _Look(source, settings, tuning, _known_of(scene, prepared, tuning))
+    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), run.folder, run.folder, look)
     shares = np.array(run.map(_shares, scene.names, run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
@@ -105,29 +103,38 @@ def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
     return found
 
 
-def _mask_item(
-    name: str,
-    folder: Path,
-    source: str,
-    settings: MasksSettings,
-    tuning: Tuning,
-    known: dict[str, tuple[Any, np.ndarray | None, str]],
-) -> None:
-    """Makes the mask of an image. ``known``: by name what was prepared for its camera, the image circle of its lens
+@dataclass(frozen=True)
+class _Look:
+    """How masks are made. ``known``: by name what was prepared for the image's camera, the image circle of its lens
     (H, W) bool, and how its mask is named in a folder of the user's."""
-    (prepared, lit_there, found), image = known[name], folder / "images" / name
+
+    source: str
+    settings: MasksSettings
+    tuning: Tuning
+    known: dict[str, tuple[Any, np.ndarray | None, str]]
+
+
+def _known_of(scene: Scene, prepared: Mapping[int, Any], tuning: Tuning) -> dict[str, tuple]:
+    circles = [lit(s, tuning.fisheye_half_deg) for s in scene.all_sensors]
+    keys = enumerate(scene.sensor_key.tolist())
+    return {scene.names[k]: (prepared.get(key), circles[key], scene.mask_name(k)) for k, key in keys}
+
+
+def _mask_item(name: str, folder: Path, target: Path, look: _Look) -> None:
+    """Makes the mask of an image of a run folder, in that or another folder."""
+    (prepared, lit_there, found), image = look.known[name], folder / "images" / name
     whole = opaque(image)
     if whole is not None:
         lit_there = whole if lit_there is None else whole & lit_there
-    use = _source(source).look(image, prepared, settings, tuning, found)
+    use = _source(look.source).look(image, prepared, look.settings, look.tuning, found)
     if use.dtype != bool:
         classes = use if lit_there is None else np.where(full_size(lit_there, use.shape), use, EGO).astype(np.uint8)
-        files.save_png(files.classes_path(folder, name), classes)
+        files.save_png(files.classes_path(target, name), classes)
         use = classes == USE
     keep = full_size(use, image_size(image))
     if lit_there is not None:
         keep = keep & lit_there
-    files.save_png(files.mask_path(folder, name), keep)
+    files.save_png(files.mask_path(target, name), keep)
 
 
 def _shares(name: str, folder: Path) -> np.ndarray:
@@ -169,11 +176,12 @@ def refine(run: Run) -> Outcome:
     known: dict[str, tuple[np.ndarray, waterline.Lines | None]] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, by the setting",)
     water: float | None = None
+    again: _Look | None = None
     if run.settings.refine.geometry == "auto":
-        known, water, notes = _known(run, scene)
+        known, water, again, notes = _known(run, scene)
     todo = [(n, known.get(n)) for n in scene.names if not files.mask_path(run.path(files.FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
-    run.map(_final_item, todo, run.folder, run.settings.tuning.masks)
+    run.map(_final_item, todo, run.folder, again, run.settings.tuning.masks)
     used = np.array(run.map(_used, scene.names, run.folder))  # (N, 2): before, now
     changed = int((used[:, 0] != used[:, 1]).sum())
     counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
@@ -183,18 +191,38 @@ def refine(run: Run) -> Outcome:
 
 def _known(
     run: Run, scene: Scene
-) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], float | None, tuple[str, ...]]:
+) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], float | None, _Look | None, tuple[str, ...]]:
     """Data of the model for each registered image: points (K, 2) f4 in it, shares of width and height, also hidden
     ones; its waterline and horizon, None if no ring of cameras defines the vertical. The height of the water in the
-    world, and notes."""
+    world, masks to be made again, and notes."""
     if not any(files.classes_path(run.folder, n).exists() for n in scene.names):
-        return {}, None, ("the first masks do not say what is sky and water: they are the final ones",)
+        return {}, None, None, ("the first masks do not say what is sky and water: they are the final ones",)
     model = files.load_model(run.path("sparse", "world"))
     least = run.settings.tuning.masks.witnesses
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
-    lines, water, notes = _lines(run, scene, model, points)
-    return {n: (seen[n], lines.get(n)) for n in seen}, water, ("no sky where the model has points", *notes)
+    matrices = image_poses(model, scene)
+    lines, water, notes = _lines(run, scene, model, matrices, points)
+    again, which = _upward(run, scene, matrices)
+    notes = "no sky where the model has points", *which, *notes
+    return {n: (seen[n], lines.get(n)) for n in seen}, water, again, notes
+
+
+def _upward(run: Run, scene: Scene, matrices: np.ndarray) -> tuple[_Look | None, list[str]]:
+    """New masks of the cameras that look up by the poses (N, 4, 4) of the model, where no rig file had said so: sky is
+    anywhere in their images. A note."""
+    settings, tuning = run.settings.masks, run.settings.tuning.masks
+    source = explain_source(files.scanned(run), settings, tuning)[0]
+    posed = np.isfinite(matrices).all(axis=(1, 2)) & scene.of_role("side")
+    up, keys = looking_up(matrices, scene.frame), scene.sensor_key
+    turned = [k for k in np.unique(keys[posed]).tolist() if np.mean(up[posed & (keys == k)]) > 0.5]
+    if source != "learnt" or not turned:
+        return None, []
+    cameras = {k: replace(c, upward=True) for k, c in _cameras(scene, run.path("images")).items() if k in turned}
+    prepared = _source(source).prepare(cameras, settings, tuning, run.map)
+    known = {n: own for n, own in _known_of(scene, prepared, tuning).items() if own[0] is not None}
+    names = ", ".join(scene.all_sensors[k].name for k in turned)
+    return _Look(source, settings, tuning, known), [f"{names} looks up by the model: its masks were made again"]
 
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -211,21 +239,17 @@ def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[
 
 
 def _lines(
-    run: Run, scene: Scene, model: pycolmap.Reconstruction, points: np.ndarray
+    run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray, points: np.ndarray
 ) -> tuple[dict[str, waterline.Lines], float | None, tuple[str, ...]]:
-    """Waterline and horizon of each registered image by the model, the height of the water, and notes."""
-    poses = {i.name: i.cam_from_world() for i in model.images.values() if i.has_pose}
-    matrices = np.full((len(scene), 4, 4), np.nan)
-    for k, name in enumerate(scene.names):
-        if name in poses:
-            matrices[k] = matrix(poses[name])
-    side = scene.of_role("side")
+    """Waterline and horizon of each registered image by the model, in which its poses are ``matrices`` (N, 4, 4), the
+    height of the water, and notes."""
+    side = scene.of_role("side") & ~looking_up(matrices, scene.frame)
     up = up_vector(matrices[side], scene.frame[side], run.settings.tuning.sfm.world.up)
     if up is None or not up.ring:
         return {}, None, ("no ring of cameras defines the vertical: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
     tuning = run.settings.tuning.masks
-    level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
+    level = [n for n in views if side[scene.image_index[n]]]
     count = min(240, len(level))  # views whose waterlines measure the water's height
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
     first = run.map(files.read_image, [files.classes_path(run.folder, n) for n in chosen])
@@ -259,14 +283,21 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
 
 
 def _final_item(
-    item: tuple[str, tuple[np.ndarray, waterline.Lines | None] | None], folder: Path, tuning: Tuning
+    item: tuple[str, tuple[np.ndarray, waterline.Lines | None] | None],
+    folder: Path,
+    again: _Look | None,
+    tuning: Tuning,
 ) -> None:
     name, known = item
-    final = folder / files.FINAL
-    classes, mask = files.classes_path(folder, name), files.mask_path(folder, name)
+    final = source = folder / files.FINAL
+    if again is not None and name in again.known and files.read_mask(folder, name).any():
+        _mask_item(name, folder, final, again)
+    else:
+        source = folder
+    classes, mask = files.classes_path(source, name), files.mask_path(source, name)
     if known is not None and classes.exists():
         points, lines = known
-        first, use = files.read_image(classes), files.read_mask(folder, name)
+        first, use = files.read_image(classes), files.read_mask(source, name)
         found = first if lines is None else waterline.final_classes(first, lines, tuning)
         found = without_points(found, points, tuning)
         if use.any() and (found != first).any():
@@ -274,6 +305,8 @@ def _final_item(
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]
             files.save_png(files.mask_path(final, name), keep)
             return
+    if source is final:
+        return
     if classes.exists():
         same_file(classes, files.classes_path(final, name))
     same_file(mask, files.mask_path(final, name))

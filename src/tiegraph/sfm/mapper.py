@@ -228,9 +228,9 @@ def _poses(outcome: Outcome, scene: Scene) -> list[np.ndarray]:
 
 def _derived(job: Job, models: list[np.ndarray], said: dict[int, str]) -> Job | None:
     """The job with more extrinsics of rigs, which models tell by the poses (N, 4, 4) of their images; None = no more.
-    It starts from the poses of the first model, unless that is torn. ``said``: of each rig that was unknown the remark
-    on them, which is brought up to date."""
-    rigs, whole = list(job.scene.rigs), True
+    It starts from the poses of the first model, unless that is torn, or a rough one is wanted, which a mapper makes
+    faster. ``said``: of each rig that was unknown the remark on them, which is brought up to date."""
+    rigs, whole = list(job.scene.rigs), not job.source.rough
     for index in said:
         rig, remark, torn = derive_rig(job.scene, index, models, job.tuning.rig.derive)
         if not said[index] or (rig is not None and rig.mounted > rigs[index].mounted):
