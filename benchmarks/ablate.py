@@ -41,7 +41,7 @@ VARIANTS = (
     Variant("robust adjustment off", {"tuning": {"sfm": {"adjust": {"robust_rounds": 0}}}}, "plain least squares"),
     Variant("few points off", {"tuning": {"sfm": {"adjust": {"few_points": {"worth": 0.0}}}}}, "all points at once"),
     Variant("masks none", {"masks": {"source": "none"}}, "nothing masked"),
-    Variant("masks not refuted", {"tuning": {"masks": {"proof": {"least_matches": 10**9}}}}, "no class is taken back"),
+    Variant("masks not refuted", {"tuning": {"masks": {"matchability": {"near": 1e9}}}}, "no class is taken back"),
     Variant("masks of paper 000", {"masks": {"source": "meguro2024"}}, "two-image difference"),
     Variant("masks of paper 001", {"masks": {"source": "meguro2025"}}, "two stages"),
 )  # fmt: skip

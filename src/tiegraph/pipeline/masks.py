@@ -39,7 +39,8 @@ def masks(run: Run) -> Outcome:
     prepared: dict[int, Any] = {}
     if any(not files.mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, run.map)
-    look = _Look(source, settings, tuning, _known_of(scene, prepared, tuning))
+    known = _known_of(scene, prepared, tuning)
+    look = _Look(source=source, settings=settings, tuning=tuning, known=known)
     run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), run.folder, run.folder, look)
     shares = np.array(run.map(_shares, scene.names, run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
@@ -178,7 +179,12 @@ def refine(run: Run) -> Outcome:
     water: float | None = None
     again: _Look | None = None
     if run.settings.refine.geometry == "auto":
-        known, water, again, notes = _known(run, scene)
+        notes = ("the first masks do not say what is sky and water: they are the final ones",)
+        if any(files.classes_path(run.folder, n).exists() for n in scene.names):
+            model = files.load_model(run.path("sparse", "world"))
+            known, water, notes = _known(run, scene, model)
+            again, which = _upward(run, scene, image_poses(model, scene))
+            notes = *which, *notes
     todo = [(n, known.get(n)) for n in scene.names if not files.mask_path(run.path(files.FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
     run.map(_final_item, todo, run.folder, again, run.settings.tuning.masks)
@@ -190,22 +196,16 @@ def refine(run: Run) -> Outcome:
 
 
 def _known(
-    run: Run, scene: Scene
-) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], float | None, _Look | None, tuple[str, ...]]:
+    run: Run, scene: Scene, model: pycolmap.Reconstruction
+) -> tuple[dict[str, tuple[np.ndarray, waterline.Lines | None]], float | None, tuple[str, ...]]:
     """Data of the model for each registered image: points (K, 2) f4 in it, shares of width and height, also hidden
     ones; its waterline and horizon, None if no ring of cameras defines the vertical. The height of the water in the
-    world, masks to be made again, and notes."""
-    if not any(files.classes_path(run.folder, n).exists() for n in scene.names):
-        return {}, None, None, ("the first masks do not say what is sky and water: they are the final ones",)
-    model = files.load_model(run.path("sparse", "world"))
+    world, and notes."""
     least = run.settings.tuning.masks.witnesses
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
-    matrices = image_poses(model, scene)
-    lines, water, notes = _lines(run, scene, model, matrices, points)
-    again, which = _upward(run, scene, matrices)
-    notes = "no sky where the model has points", *which, *notes
-    return {n: (seen[n], lines.get(n)) for n in seen}, water, again, notes
+    lines, water, notes = _lines(run, scene, model, image_poses(model, scene), points)
+    return {n: (seen[n], lines.get(n)) for n in seen}, water, ("no sky where the model has points", *notes)
 
 
 def _upward(run: Run, scene: Scene, matrices: np.ndarray) -> tuple[_Look | None, list[str]]:
@@ -222,7 +222,8 @@ def _upward(run: Run, scene: Scene, matrices: np.ndarray) -> tuple[_Look | None,
     prepared = _source(source).prepare(cameras, settings, tuning, run.map)
     known = {n: own for n, own in _known_of(scene, prepared, tuning).items() if own[0] is not None}
     names = ", ".join(scene.all_sensors[k].name for k in turned)
-    return _Look(source, settings, tuning, known), [f"{names} looks up by the model: its masks were made again"]
+    look = _Look(source=source, settings=settings, tuning=tuning, known=known)
+    return look, [f"{names} looks up by the model: its masks were made again"]
 
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
