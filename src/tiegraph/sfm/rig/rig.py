@@ -234,7 +234,7 @@ def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning)
     freedom = 6 * len(rig) - 13
     covariance = np.linalg.inv(fit.jac.T @ fit.jac) * 2 * fit.cost / freedom
     unsure = np.degrees(np.sqrt(np.diag(covariance)[7:10].max()))
-    if scatter.why_not(tuning) or not unsure < tuning.max_scatter_deg:
+    if scatter.few(tuning) or scatter.why_not(tuning) or not unsure < tuning.max_scatter_deg:
         return None
     return transforms.rigid(rotation, -rotation @ fit.x[10:]), scatter
 
