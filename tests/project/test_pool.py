@@ -57,7 +57,7 @@ def test_a_worker_lost_while_idle_is_named_too():
 
 
 closes_its_queue = pytest.mark.skipif(
-    sys.version_info < (3, 11), reason="the executor of Python 3.10 does not close its queue while a worker starts"
+    sys.version_info < (3, 11, 5), reason="the executor of older Pythons does not close its queue while a worker starts"
 )
 
 
