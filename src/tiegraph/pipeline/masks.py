@@ -1,7 +1,7 @@
 """Glue of masks and refine: the usable pixels of the images for features, and the same corrected by the model."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,8 @@ def masks(run: Run) -> Outcome:
     prepared: dict[int, Any] = {}
     if any(not files.mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, run.map)
-    known = _known_of(scene, prepared, tuning)
-    look = _Look(source=source, settings=settings, tuning=tuning, known=known)
-    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), run.folder, run.folder, look)
+    of = run.folder, run.folder, source, settings, tuning, _known_of(scene, prepared, tuning)
+    run.make_missing(_mask_item, scene.names, lambda n: files.mask_path(run.folder, n), *of)
     shares = np.array(run.map(_shares, scene.names, run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
@@ -104,30 +103,26 @@ def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
     return found
 
 
-@dataclass(frozen=True)
-class _Look:
-    """How masks are made. ``known``: by name what was prepared for the image's camera, the image circle of its lens
-    (H, W) bool, and how its mask is named in a folder of the user's."""
-
-    source: str
-    settings: MasksSettings
-    tuning: Tuning
-    known: dict[str, tuple[Any, np.ndarray | None, str]]
+_Prepared = dict[str, tuple[Any, np.ndarray | None, str]]
+"""By name of an image what was prepared for its camera, the image circle of its lens (H, W) bool, and how its mask is
+named in a folder of the user's."""
 
 
-def _known_of(scene: Scene, prepared: Mapping[int, Any], tuning: Tuning) -> dict[str, tuple]:
+def _known_of(scene: Scene, prepared: Mapping[int, Any], tuning: Tuning) -> _Prepared:
     circles = [lit(s, tuning.fisheye_half_deg) for s in scene.all_sensors]
     keys = enumerate(scene.sensor_key.tolist())
     return {scene.names[k]: (prepared.get(key), circles[key], scene.mask_name(k)) for k, key in keys}
 
 
-def _mask_item(name: str, folder: Path, target: Path, look: _Look) -> None:
+def _mask_item(
+    name: str, folder: Path, target: Path, source: str, settings: MasksSettings, tuning: Tuning, known: _Prepared
+) -> None:
     """Makes the mask of an image of a run folder, in that or another folder."""
-    (prepared, lit_there, found), image = look.known[name], folder / "images" / name
+    (prepared, lit_there, found), image = known[name], folder / "images" / name
     whole = opaque(image)
     if whole is not None:
         lit_there = whole if lit_there is None else whole & lit_there
-    use = _source(look.source).look(image, prepared, look.settings, look.tuning, found)
+    use = _source(source).look(image, prepared, settings, tuning, found)
     if use.dtype != bool:
         classes = use if lit_there is None else np.where(full_size(lit_there, use.shape), use, EGO).astype(np.uint8)
         files.save_png(files.classes_path(target, name), classes)
@@ -177,7 +172,7 @@ def refine(run: Run) -> Outcome:
     known: dict[str, tuple[np.ndarray, waterline.Lines | None]] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, by the setting",)
     water: float | None = None
-    again: _Look | None = None
+    again: _Prepared = {}
     if run.settings.refine.geometry == "auto":
         notes = ("the first masks do not say what is sky and water: they are the final ones",)
         if any(files.classes_path(run.folder, n).exists() for n in scene.names):
@@ -187,7 +182,7 @@ def refine(run: Run) -> Outcome:
             notes = *which, *notes
     todo = [(n, known.get(n)) for n in scene.names if not files.mask_path(run.path(files.FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
-    run.map(_final_item, todo, run.folder, again, run.settings.tuning.masks)
+    run.map(_final_item, todo, run.folder, again, run.settings.masks, run.settings.tuning.masks)
     used = np.array(run.map(_used, scene.names, run.folder))  # (N, 2): before, now
     changed = int((used[:, 0] != used[:, 1]).sum())
     counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
@@ -208,7 +203,7 @@ def _known(
     return {n: (seen[n], lines.get(n)) for n in seen}, water, ("no sky where the model has points", *notes)
 
 
-def _upward(run: Run, scene: Scene, matrices: np.ndarray) -> tuple[_Look | None, list[str]]:
+def _upward(run: Run, scene: Scene, matrices: np.ndarray) -> tuple[_Prepared, list[str]]:
     """New masks of the cameras that look up by the poses (N, 4, 4) of the model, where no rig file had said so: sky is
     anywhere in their images. A note."""
     settings, tuning = run.settings.masks, run.settings.tuning.masks
@@ -217,13 +212,12 @@ def _upward(run: Run, scene: Scene, matrices: np.ndarray) -> tuple[_Look | None,
     up, keys = looking_up(matrices, scene.frame), scene.sensor_key
     turned = [k for k in np.unique(keys[posed]).tolist() if np.mean(up[posed & (keys == k)]) > 0.5]
     if source != "learnt" or not turned:
-        return None, []
+        return {}, []
     cameras = {k: replace(c, upward=True) for k, c in _cameras(scene, run.path("images")).items() if k in turned}
     prepared = _source(source).prepare(cameras, settings, tuning, run.map)
     known = {n: own for n, own in _known_of(scene, prepared, tuning).items() if own[0] is not None}
     names = ", ".join(scene.all_sensors[k].name for k in turned)
-    look = _Look(source=source, settings=settings, tuning=tuning, known=known)
-    return look, [f"{names} looks up by the model: its masks were made again"]
+    return known, [f"{names} looks up by the model: its masks were made again"]
 
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -286,13 +280,14 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
 def _final_item(
     item: tuple[str, tuple[np.ndarray, waterline.Lines | None] | None],
     folder: Path,
-    again: _Look | None,
+    again: _Prepared,
+    settings: MasksSettings,
     tuning: Tuning,
 ) -> None:
     name, known = item
     final = source = folder / files.FINAL
-    if again is not None and name in again.known and files.read_mask(folder, name).any():
-        _mask_item(name, folder, final, again)
+    if name in again and files.read_mask(folder, name).any():
+        _mask_item(name, folder, final, "learnt", settings, tuning, again)
     else:
         source = folder
     classes, mask = files.classes_path(source, name), files.mask_path(source, name)

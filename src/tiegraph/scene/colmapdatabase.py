@@ -65,9 +65,9 @@ class Rows:
         """Number of key points by image id."""
         return dict(self._connection.execute("SELECT image_id, rows FROM keypoints"))
 
-    def inlier_counts(self, table: str = "two_view_geometries") -> np.ndarray:
-        """(P, 3) i8: both image ids and the number of verified matches of each verified pair, or of raw ``matches``."""
-        found = self._connection.execute(f"SELECT pair_id, rows FROM {table} WHERE rows > 0").fetchall()
+    def inlier_counts(self) -> np.ndarray:
+        """(P, 3) i8: both image ids and the number of verified matches of each verified pair."""
+        found = self._connection.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0").fetchall()
         return np.array([(*divmod(pair, MAX_IMAGES), count) for pair, count in found], int).reshape(-1, 3)
 
     def verified(self) -> Iterator[tuple[int, int, np.ndarray]]:

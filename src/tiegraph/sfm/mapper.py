@@ -178,7 +178,7 @@ def _with_unknown_rigs(job: Job, unknown: list[int]) -> tuple[Job, Outcome]:
     job, started = _with_rigs_of_the_start(job, said)
     outcome = started or map_images(job, "without the unknown rig")
     without = None if started else outcome
-    while (known := _derived(job, _poses(outcome, job.scene), said)) is not None:
+    while (known := _derived(job, [image_poses(read_model(f), job.scene) for f in outcome.folders], said)) is not None:
         least = job.tuning.mapping.clearly_fewer * share_of_matches(job, outcome)
         try:
             made = _mapped_with_rigs(known, least)
@@ -220,10 +220,6 @@ def _with_rigs_of_the_start(job: Job, said: dict[int, str]) -> tuple[Job, Outcom
         return job, None
     said |= told
     return known, with_others(known, outcome)
-
-
-def _poses(outcome: Outcome, scene: Scene) -> list[np.ndarray]:
-    return [image_poses(read_model(folder), scene) for folder in outcome.folders]
 
 
 def _derived(job: Job, models: list[np.ndarray], said: dict[int, str]) -> Job | None:

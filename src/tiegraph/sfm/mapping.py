@@ -22,7 +22,7 @@ from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start import length_of_path
-from tiegraph.sfm.ties import TEST_COLUMNS, Joining, TieTest, moved
+from tiegraph.sfm.ties import TEST_COLUMNS, Joining, moved
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import MatchSource, ViewGraph, share_explained
 
@@ -323,9 +323,6 @@ def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
     return int(np.sum(observations(reconstruction, scene) >= least)), reconstruction.num_points3D()
 
 
-SECTION_COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
-
-
 def start_from_sections(job: Job) -> Job:
     """The job, starting from the poses of its sections if these are to be mapped separately and joined (paper 001).
 
@@ -350,15 +347,20 @@ def start_from_sections(job: Job) -> Job:
         own = image_poses(joining.world[number], scene)
         there = np.isfinite(own).all(axis=(1, 2))
         poses[there] = own[there]
-    rows = [_row(k, len(m.reg_image_ids()), joining.tests.get(k), k in joining.world) for k, m in enumerate(models)]
-    job.account.tables["sections mapped separately"] = {"columns": SECTION_COLUMNS, "rows": rows}
+    none = [None] * len(TEST_COLUMNS)
+    rows = [
+        [
+            k,
+            len(m.reg_image_ids()),
+            *(joining.tests[k].cells() if k in joining.tests else none),
+            "yes" if k in joining.world else "no",
+        ]
+        for k, m in enumerate(models)
+    ]
+    columns = ["section", "images", *TEST_COLUMNS, "joined"]
+    job.account.tables["sections mapped separately"] = {"columns": columns, "rows": rows}
     job.account.notes.append(
         f"{len(models)} sections were mapped separately and {len(joining.world)} of them joined by the matches "
         "between them; the whole survey starts from these poses"
     )
     return replace(job, source=replace(source, apart=(), preview=poses))
-
-
-def _row(number: int, images: int, test: TieTest | None, joined: bool) -> list:
-    told = [None] * len(TEST_COLUMNS) if test is None else test.cells()
-    return [number, images, *told, "yes" if joined else "no"]

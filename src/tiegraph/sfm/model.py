@@ -1,7 +1,9 @@
 """The scene's frames in a model: poses, held-out positions, tables, remarks. Arrays of a model are in
 ``scene.colmapmodel``."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import permutations
 
 import numpy as np
 
@@ -58,6 +60,25 @@ def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float
     for k in order:
         poses[scene.frame[k]] = transforms.invert(rig_from_cam[k] @ cam_from_world[k])
     return poses
+
+
+def relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
+    """b_from_a (K, 4, 4) of every two sensors a, b of a rig over all frames and models with ``poses`` (N, 4, 4) of the
+    images, baselines scaled to the first model's."""
+    of, out, unit = np.flatnonzero(scene.rig[scene.frame] == index), {}, np.nan
+    at = np.full((scene.frames, len(scene.rigs[index].sensors)), -1)
+    at[scene.frame[of], scene.sensor[of]] = of
+    for model in poses:
+        shown = (at >= 0) & np.isfinite(model[at]).all(axis=(2, 3))
+        each = {(a, b): at[shown[:, a] & shown[:, b]][:, [a, b]].T for a, b in permutations(range(at.shape[1]), 2)}
+        steps = {pair: model[b] @ transforms.invert(model[a]) for pair, (a, b) in each.items() if len(a)}
+        if steps:
+            length = float(np.median(np.linalg.norm(np.concatenate([*steps.values()])[:, :3, 3], axis=1)))
+            unit = length if np.isnan(unit) else unit
+        for pair, step in steps.items():
+            step[:, :3, 3] *= unit / length if length > 0 else 1.0
+            out[pair] = np.concatenate([out.get(pair, step[:0]), step])
+    return out
 
 
 def distances(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

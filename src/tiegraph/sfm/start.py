@@ -32,7 +32,7 @@ from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig, rays_or_axis
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import distances, frame_poses, rig_from_sensor
+from tiegraph.sfm.model import distances, frame_poses, relative_poses, rig_from_sensor
 from tiegraph.sfm.tuning import StartCheckTuning
 from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
 from tiegraph.sfm.verified import VerifiedMatches
@@ -191,19 +191,12 @@ def rig_of_poses(scene: Scene, index: int, cam_from_world: np.ndarray, max_lever
 
     ``max_lever_off``: largest relative deviation of the poses from a given lever arm; beyond it the given one stays.
     """
-    rig, of = scene.rigs[index], scene.rig[scene.frame] == index
-    known = of & np.isfinite(cam_from_world).all(axis=(1, 2))
-    reference = np.full(scene.frames, -1)
-    first = np.flatnonzero(known & (scene.sensor == 0))
-    reference[scene.frame[first]] = first
-    shown: dict[int, np.ndarray] = {}
-    for place in (k for k, s in enumerate(rig.sensors) if k and s.sensor_from_rig is not None):
-        rows = np.flatnonzero(known & (scene.sensor == place))
-        rows = rows[reference[scene.frame[rows]] >= 0]
-        if len(rows):
-            steps = cam_from_world[rows] @ transforms.invert(cam_from_world[reference[scene.frame[rows]]])
-            shift = np.median(steps[:, :3, 3], axis=0)
-            shown[place] = transforms.rigid(l1_mean_rotation(steps[:, :3, :3]), shift)
+    rig = scene.rigs[index]
+    shown = {
+        b: transforms.rigid(l1_mean_rotation(steps[:, :3, :3]), np.median(steps[:, :3, 3], axis=0))
+        for (a, b), steps in relative_poses(scene, index, [cam_from_world]).items()
+        if a == 0 and rig.sensors[b].sensor_from_rig is not None
+    }
     found = replace(rig, sensors=tuple(replace(s, sensor_from_rig=shown.get(k)) for k, s in enumerate(rig.sensors)))
     sensors = [rig.sensors[0]]
     for place, given in enumerate(rig.scaled(found.units(rig)).sensors[1:], start=1):

@@ -17,7 +17,7 @@ from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import evenly
-from tiegraph.sfm.model import distances
+from tiegraph.sfm.model import distances, relative_poses
 from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning, SupportTuning
 from tiegraph.sfm.verified import ViewGraph
@@ -106,7 +106,7 @@ def derive_rig(
     found: dict[int, np.ndarray] = {0: np.eye(4)}
     held: dict[int, _Scatter] = {}
     left_out: dict[int, str] = {}
-    relative = _relative_poses(scene, index, poses)
+    relative = relative_poses(scene, index, poses)
     while True:
         ready = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found and b not in left_out}
         if not ready:
@@ -138,34 +138,10 @@ def derive_rig(
         f"rig {rig.name}: extrinsics of {len(found)} of {len(names)} cameras found by their images and then "
         f"adjusted; largest scatter over frames {held[worst].deg:.2f} deg ({names[worst]}, {held[worst].frames} frames)"
     )
-    said += (
-        f"; the model is torn, so the shortest mounting that frames agree on is taken ({', '.join(few)})" if few else ""
-    )
-    said += f"; left out: {lost}" if lost else ""
+    torn = f"; the model is torn, so the shortest mounting that frames agree on is taken ({', '.join(few)})"
+    said += (torn if few else "") + (f"; left out: {lost}" if lost else "")
     sensors = tuple(replace(s, sensor_from_rig=found.get(k)) for k, s in enumerate(rig.sensors))
     return replace(rig, sensors=sensors, fixed=False, nominal=True, derived=True), said, bool(few)
-
-
-def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
-    """b_from_a (K, 4, 4) of every pair of sensors over all frames and models, baselines scaled to the first model's."""
-    of_rig = np.flatnonzero(scene.rig[scene.frame] == index)
-    by_frame: dict[int, list[int]] = {}
-    for k in of_rig:
-        by_frame.setdefault(int(scene.frame[k]), []).append(int(k))
-    out: dict[tuple[int, int], list[np.ndarray]] = {}
-    unit = np.nan
-    for model in poses:
-        pairs = [(a, b) for members in by_frame.values() for a in members for b in members if a != b]
-        steps = [(a, b, model[b] @ transforms.invert(model[a])) for a, b in pairs if np.isfinite(model[[a, b]]).all()]
-        if not steps:
-            continue
-        length = float(np.median([np.linalg.norm(step[:3, 3]) for _, _, step in steps]))
-        unit = length if np.isnan(unit) else unit
-        for a, b, step in steps:
-            scaled = step.copy()
-            scaled[:3, 3] *= unit / length if length > 0 else 1.0
-            out.setdefault((int(scene.sensor[a]), int(scene.sensor[b])), []).append(scaled)
-    return {key: np.stack(steps) for key, steps in out.items()}
 
 
 def _motions(
@@ -257,12 +233,8 @@ def _mounting(stack: np.ndarray, tuning: DeriveTuning) -> tuple[np.ndarray, _Sca
     close = transforms.angle_deg(turns, rotation) < tuning.outlier_deg
     used = close if close.any() else np.ones(len(stack), bool)
     if np.mean(~close) > tuning.max_outliers:
-        some = turns[evenly(len(stack), 300)]
-        alike = [
-            one
-            for one in transforms.angle_deg(turns, some[:, None]) < tuning.outlier_deg
-            if one.sum() >= tuning.min_frames
-        ]
+        alike = transforms.angle_deg(turns, turns[evenly(len(stack), 300), None]) < tuning.outlier_deg
+        alike = alike[alike.sum(axis=1) >= tuning.min_frames]
         near = [one & (length <= np.median(length[one])) for one in alike]
         if near:
             best = int(np.argmin([np.median(length[one]) for one in near]))
