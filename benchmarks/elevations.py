@@ -1,8 +1,9 @@
 """Surface models of a finished run beside a reference cloud: errors over what ``sigma.tif`` states.
 
 The reference (LAZ, east-north-up metres about the place in ``meta.json``) is brought into the frame of each surface.
-Only points within ``_NEAR_M`` of the surface count, where it is no steeper than ``_STEEP`` a pixel (beside an edge a
-point and a pixel are of two surfaces). The place of the survey in the world is not in ``sigma.tif``: shift and tilt of
+Only points within ``_NEAR_M`` of the surface count, where it is no steeper than ``_STEEP`` a pixel and their
+``_AROUND`` nearest in the raster's plane reach over less than ``_FLAT_M`` (beside an edge, and on the side of a girder,
+a point and a pixel are of two surfaces). The place of the survey in the world is not in ``sigma.tif``: shift and tilt of
 each surface against the reference are taken off first, and said. The reference's own noise is added to sigma.
 
 python -m benchmarks.elevations tiegraph_demo examples/canal/truth
@@ -18,6 +19,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import rasterio
+from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.reference import to_world
 from tiegraph.geometry import transforms
@@ -29,6 +31,7 @@ from tiegraph.scene.cloudfile import shift_of
 
 _NOISE_M = 0.02  # of the reference
 _NEAR_M, _STEEP = 0.5, 0.05
+_AROUND, _FLAT_M = 6, 0.2
 _GROSS_SIGMAS = 5.0
 _BANDS_M = (0.0, 0.02, 0.04, 0.08, 0.2, 1.0)
 
@@ -52,8 +55,11 @@ def errors(folder: Path, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, float
     inside = (row >= 0) & (column >= 0) & (row < w.shape[0]) & (column < w.shape[1])
     row, column, uvw = row[inside], column[inside], uvw[inside]
     off, steep = w[row, column] - uvw[:, 2], np.hypot(*np.gradient(w))[row, column]
-    counts = (np.abs(off) < _NEAR_M) & (steep < _STEEP)
-    off, own = off[counts], sigma[row, column][counts]
+    about = np.abs(off) < 2 * _NEAR_M
+    off, steep, own, uvw = off[about], steep[about], sigma[row, column][about], uvw[about]
+    _, around = cKDTree(uvw[:, :2]).query(uvw[:, :2], k=_AROUND)
+    counts = (np.abs(off) < _NEAR_M) & (steep < _STEEP) & (np.ptp(uvw[around, 2], axis=1) < _FLAT_M)
+    off, own = off[counts], own[counts]
     plane = np.c_[np.ones(len(off)), uvw[counts, :2] - uvw[counts, :2].mean(axis=0)]
     kept = np.ones(len(off), bool)
     for _ in range(5):
