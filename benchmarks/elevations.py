@@ -2,9 +2,10 @@
 
 The reference (LAZ, east-north-up metres about the place in ``meta.json``) is brought into the frame of each surface.
 Only points within ``_NEAR_M`` of the surface count, where it is no steeper than ``_STEEP`` a pixel and their
-``_AROUND`` nearest in the raster's plane reach over less than ``_FLAT_M`` (beside an edge, and on the side of a girder,
-a point and a pixel are of two surfaces). The place of the survey in the world is not in ``sigma.tif``: shift and tilt of
-each surface against the reference are taken off first, and said. The reference's own noise is added to sigma.
+``_AROUND`` nearest in the raster's plane reach over less than ``_FLAT_M`` (beside an edge and on the side of a
+girder, a point and a pixel are of two surfaces). The place of the survey in the world is not in ``sigma.tif``: shift
+and tilt of each surface against the reference are taken off first, and said. The reference's own noise is added to
+sigma.
 
 python -m benchmarks.elevations tiegraph_demo examples/canal/truth
 """

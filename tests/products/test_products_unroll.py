@@ -1,5 +1,6 @@
 """Unrolled surfaces: a tunnel on a bend and a round tower, each with a bulge of 5 cm."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -47,12 +48,12 @@ def truth(surface, scene, window, step=1):
     return scene.bulge(s, v) - w, s, v
 
 
-@pytest.mark.parametrize("radius", [3.0, np.inf])
-def test_the_inverse_of_a_curved_frame_and_its_gradients_are_those_of_the_mapping(radius):
+@pytest.mark.parametrize(("radius", "profile"), [(3.0, [1, 1]), (3.0, [0.9, 1.1, 1.0, 1.2, 0.9]), (np.inf, [1, 1])])
+def test_the_inverse_of_a_curved_frame_and_its_gradients_are_those_of_the_mapping(radius, profile):
     angle = np.linspace(0, 4, 60)
     climb = 4.0 if radius < 9 else 0.0
     nodes = np.stack([20 * np.cos(angle), 20 * np.sin(angle), climb * angle], axis=-1)
-    frame = Frame(np.eye(4), nodes, np.hypot(20, climb) * angle[1], radius)
+    frame = Frame(np.eye(4), nodes, np.hypot(20, climb) * angle[1], radius, np.array(profile))
     rng = np.random.default_rng(0)
     uvw = rng.uniform([-1, -6, -0.5], [frame.stations[-1] + 1, 6, 1.0], (200, 3))
     np.testing.assert_allclose(frame.uvw(frame.in_world(*uvw.T)), uvw, atol=1e-6)
@@ -61,7 +62,8 @@ def test_the_inverse_of_a_curved_frame_and_its_gradients_are_those_of_the_mappin
     moved = [(frame.uvw(xyz + d * step) - frame.uvw(xyz - d * step)) / (2 * step) for d in np.eye(3)]
     found = frame.gradients(*uvw.T)
     off = np.abs(np.stack(moved, axis=-1) - found).max(axis=(0, 2))
-    assert off[0] < 1e-3 and off[2] < 1e-3 and off[1] < (0.05 if climb else 1e-3)  # v rolls on a ramp that bends
+    rolls = 0.05 if climb else 1e-3  # on a ramp that bends v rolls, and w where the profile is no circle
+    assert off[0] < 1e-3 and off[2] < (rolls if len(set(profile)) > 1 else 1e-3) and off[1] < rolls
     assert (np.linalg.det(found) > 0).all()  # right-handed: no raster is mirrored
 
 
@@ -146,6 +148,42 @@ def test_a_flat_floor_does_not_move_the_axis():
     xyz[:, 2] = np.maximum(xyz[:, 2], MIDDLE[2] - 2.0)
     ((frame, share),) = curved.tunnel(Tunnel().path(), replace(cloud, xyz_m=xyz), TUNING)
     assert frame.radius == pytest.approx(3.0, abs=0.01) and 0.6 < share < 0.9
+
+
+def box(angle):
+    """Distance of a box culvert, 5 m wide, from 2 m below its axis to 2.6 m above it."""
+    x, y = np.sin(angle), np.cos(angle)
+    return 1 / np.maximum(np.abs(x) / 2.5, np.maximum(y / 2.6, -y / 2.0))
+
+
+def horseshoe(angle):
+    """Distance of a tunnel of radius 3 m with a floor 2 m below its axis."""
+    return np.minimum(3.0, np.where(np.cos(angle) < 0, 2.0 / np.maximum(-np.cos(angle), 1e-9), 3.0))
+
+
+@pytest.mark.parametrize("shape", [box, horseshoe])
+def test_the_profile_of_a_tube_that_is_no_circle_is_found_and_unrolled(shape):
+    tube = Tunnel(bend=60.0, length=40.0)
+    cloud = tube.cloud(0.25)
+    s, v, w = tube.unrolled(cloud.xyz_m).T
+    angle, bulge = v / tube.radius, tube.bulge(s, v)
+    cloud = replace(cloud, xyz_m=tube.rolled(s, v, tube.radius - shape(angle) + w))
+    ((circle, few),) = curved.tunnel(tube.path(), cloud, TUNING)
+    survey = replace(tube.survey(), sample=cloud)
+    (surface,), notes = choose(survey, ProductsSettings(unroll="profile", pixel_m=PIXEL), TUNING)
+    assert surface.share > 0.97 > few + 0.2
+    assert re.search(r"profile: radius (1\.9|2\.)\d+ to 3\.\d+ m", " ".join(notes))
+    tags = Place(None).frame(surface)
+    axis, profile = np.array(tags["axis"]), np.array(tags["profile"]) / tags["radius"]
+    frame = Frame(np.eye(4), axis[:, 1:], axis[1, 0], tags["radius"], profile)  # by frame.json alone, as a user would
+    u, along, off = frame.uvw(cloud.xyz_m).T
+    assert 0.5 * NOISE_M < np.median(np.abs(off - bulge)) < 1.2 * NOISE_M
+    on = bulge > 0.6 * world.BULGE_M
+    assert np.median(off[on] / bulge[on]) == pytest.approx(1, abs=0.25)
+    turn = np.linspace(-np.pi, np.pi, 9999)
+    length = np.hypot(*np.diff(shape(turn) * [np.sin(turn), np.cos(turn)])).sum()
+    assert surface.shape[0] * PIXEL == pytest.approx(length, rel=0.01)
+    np.testing.assert_allclose(frame.in_world(u, along, off), cloud.xyz_m, atol=1e-6)
 
 
 def test_a_wall_along_a_path_that_does_not_go_round_ends_where_its_points_do():

@@ -1,15 +1,18 @@
 """The frame of a reference surface: from the world to (u, v, w) and back; and which curved one fits a survey.
 
-A frame is rigid, or it unrolls a profile, straight or a circle of radius R, that is swept along an axis c(s), a cubic
-spline through nodes at equal distances, so that s is its arc length. Across the tangent t lie ``side`` = t x z, to the
+A frame is rigid, or it unrolls a profile, straight or closed, that is swept along an axis c(s), a cubic spline through
+nodes at equal distances, so that s is its arc length. Across the tangent t lie ``side`` = t x z, to the
 right, and ``up`` = side x t: unlike a frame without torsion (Bishop 1975) this one keeps the crown above on ramps. A
 point p belongs to the nearest place of the axis, (p - c(s)) . t(s) = 0, and has x = (p - c) . side, y = (p - c) . up.
 
-    straight:  u = s,  v = y,                  w = x               a vertical surface along a curve in plan, on z = 0
-    circle:    u = s,  v = R atan2(x, y),      w = R - |(x, y)|    a tube; v counts from the crown
+    straight:  u = s,  v = y,         w = x                   a vertical surface along a curve in plan, on z = 0
+    closed:    u = s,  v = l(a),      w = r(a) - |(x, y)|     a tube; a = atan2(x, y), 0 at the crown
+
+r is the distance of the profile from the axis, linear between equal angles, and l its length from the crown: of a
+circle r = R and l = R a.
 
 (u, v, w) is right-handed: whoever w points to sees u grow to the right and v upwards. What has the length 1 along u
-is 1 - k . (p - c) long in the world, with the curvature k = c''; what has it along v is 1 - w / R long on a tube.
+is 1 - k . (p - c) long in the world, with the curvature k = c''; what has it along v is 1 - w / r long on a tube.
 
 A curved surface is a tube round the path of the cameras, or a wall beside it. Its axis is an alignment as roads and
 railways have it: its curvature in plan, and of a tube its slope, are piecewise linear in the arc length, so that it
@@ -18,11 +21,12 @@ shorter wave, a bulge or noise cannot be followed: it is a deviation.
 
 Start, heading, curvatures, slopes and radius are fitted to the path first, then to the points: by least squares of the
 distances at fixed nearest places of the axis, which are then taken anew (tangent distance minimisation, Wang, Pottmann
-and Liu 2006, section 3), with Cauchy's loss, so that floors, doors and bulges count little.
+and Liu 2006, section 3), with Cauchy's loss, so that floors, doors and bulges count little. A profile that is not a
+circle is the median distance of the points from that axis at each angle.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,17 +46,26 @@ _BETWEEN = 8  # places of the axis between two nodes, at which that begins
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A rigid frame (4, 4) surface_from_world; or nodes (N, 3) of an axis in the world, ``spacing`` apart along it, and
-    the radius of the tube round it, infinite for a straight profile: then the matrix applies to what is unrolled."""
+    the radius of the tube round it, infinite for a straight profile: then the matrix applies to what is unrolled.
+    ``profile`` (M,) is the distance of a tube from its axis at equal angles from -180 to 180 deg, in radii."""
 
     surface_from_world: np.ndarray
     nodes: np.ndarray | None = None
     spacing: float = 0.0
     radius: float = np.inf
+    profile: np.ndarray = field(default_factory=lambda: np.ones(2))
 
     @property
     def tube(self) -> bool:
-        """Whether the profile is a circle."""
+        """Whether the profile is closed."""
         return bool(np.isfinite(self.radius))
+
+    @cached_property
+    def around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(M,) angles of the profile of a tube, its distances r from the axis and its lengths v from the crown."""
+        a, r = np.linspace(-np.pi, np.pi, len(self.profile)), self.radius * self.profile
+        v = np.r_[0.0, np.cumsum(np.hypot((r[1:] + r[:-1]) / 2 * np.diff(a), np.diff(r)))]
+        return a, r, v - np.interp(0.0, a, v)
 
     @property
     def stations(self) -> np.ndarray:
@@ -99,7 +112,8 @@ class Frame:
             s, x, y = np.moveaxis(self.across(xyz), -1, 0)
             xyz = np.stack([s, y, x], axis=-1)
             if self.tube:
-                xyz = np.stack([s, self.radius * np.arctan2(x, y), self.radius - np.hypot(x, y)], axis=-1)
+                (a, r, v), at = self.around, np.arctan2(x, y)
+                xyz = np.stack([s, np.interp(at, a, v), np.interp(at, a, r) - np.hypot(x, y)], axis=-1)
         return transforms.apply(self.surface_from_world, xyz)
 
     def in_world(self, u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -111,12 +125,14 @@ class Frame:
         c, axes, _ = self.axis(xyz[..., 0])
         x, y = xyz[..., 2], xyz[..., 1]
         if self.tube:
-            x, y = (self.radius - x) * np.sin(y / self.radius), (self.radius - x) * np.cos(y / self.radius)
+            a, r, v = self.around
+            at = np.interp(y, v, a)
+            x, y = (np.interp(at, a, r) - x) * np.stack([np.sin(at), np.cos(at)])
         return c + x[..., None] * axes[..., 1, :] + y[..., None] * axes[..., 2, :]
 
     def gradients(self, u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """(..., 3, 3) rows: the gradients of u, v and w in the world at places (...), that of w of length 1. The roll
-        of a tube's frame where a ramp bends is left out."""
+        """(..., 3, 3) rows: the gradients of u, v and w in the world at places (...). The roll of a tube's frame where
+        a ramp bends is left out."""
         turn = self.surface_from_world[:3, :3]
         if self.nodes is None:
             return np.broadcast_to(turn, (*np.shape(w), 3, 3))
@@ -127,11 +143,16 @@ class Frame:
         t, out, round_ = np.moveaxis(axes, -2, 0)
         if not self.tube:
             return turn @ np.stack([t / (1 - w * np.sum(out * k, axis=-1))[..., None], round_, out], axis=-2)
-        sine, cosine = (f(v / self.radius)[..., None] for f in (np.sin, np.cos))
+        angles, radii, lengths = self.around
+        a = np.interp(v, lengths, angles)
+        part = np.clip(np.searchsorted(angles, a, side="right") - 1, 0, len(angles) - 2)
+        longer, farther = (np.diff(x)[part] / np.diff(angles)[part] for x in (lengths, radii))
+        sine, cosine = np.sin(a)[..., None], np.cos(a)[..., None]
         out, round_ = sine * out + cosine * round_, cosine * out - sine * round_
-        r = np.maximum(self.radius - w, 1e-9 * self.radius)
+        r = np.maximum(np.interp(a, angles, radii) - w, 1e-9 * self.radius)
         along = t / (1 - r * np.sum(out * k, axis=-1))[..., None]
-        return turn @ np.stack([along, round_ * (self.radius / r)[..., None], -out], axis=-2)
+        round_ = round_ / r[..., None]
+        return turn @ np.stack([along, longer[..., None] * round_, farther[..., None] * round_ - out], axis=-2)
 
 
 Found = tuple[Frame, float]
@@ -142,15 +163,17 @@ _REFITTED = 6  # times the nearest places are taken anew
 _STIFF = 1e-3  # weight of changes of curvature and slope, which continue where there are no points
 _NODES = 32  # of the axis on a piece of the alignment
 _MOST_PIECES = 100  # a longer survey has longer ones
+_A_MEDIAN = 30  # points for each median of a profile: a bulge in fewer than half of its length does not count
 _ENDS = 1e-3  # share of the points beyond each end of the axis
 TIGHTEST = 0.7
 """Largest distance from the axis beside the radius of its bend: lengths along u are 1.7 times as long there."""
 _LEVEL = np.array([1.0, 1.0, 0.0])
 
 
-def tunnel(path: np.ndarray, cloud: Cloud, tuning: ChooseTuning) -> list[Found]:
-    """The tube round a path (N, 3). Raises ReconstructionError for a path that is too short, without motion, or comes
-    back to itself, for a bend tighter than the tube, and for too few points on it."""
+def tunnel(path: np.ndarray, cloud: Cloud, tuning: ChooseTuning, circle: bool = True) -> list[Found]:
+    """The tube round a path (N, 3), a circle or of the profile that the points have. Raises ReconstructionError for a
+    path that is too short, without motion, or comes back to itself, for a bend tighter than the tube, and for too few
+    points on it."""
     far = cKDTree(path).query(cloud.xyz_m)[0]
     away = float(np.median(far))
     near, spacing = cloud.xyz_m[far < 3 * away], tuning.smooth * 2 * away
@@ -166,7 +189,24 @@ def tunnel(path: np.ndarray, cloud: Cloud, tuning: ChooseTuning) -> list[Found]:
             f"the tube of radius {axis.radius:.3g} bends with a radius of {bend:.3g} and would overlap itself",
             "make the survey of its straighter parts",
         )
+    if not circle:
+        axis = _profiled(axis, near)
+        on = np.abs(axis.uvw(cloud.xyz_m)[:, 2]) < tuning.flatness * axis.radius
     return [(axis, _share(on, tuning, f"the tube of radius {axis.radius:.3g} round the path"))]
+
+
+def _profiled(axis: Frame, xyz: np.ndarray) -> Frame:
+    """A tube with the profile of points (N, 3): the medians of equally many at neighbouring angles."""
+    s, x, y = axis.across(xyz).T
+    along = (s > 0) & (s < axis.stations[-1])
+    a, r = np.arctan2(x, y)[along], np.hypot(x, y)[along]
+    groups = np.array_split(np.argsort(a), max(3, len(a) // _A_MEDIAN))
+    at, angles = np.array([np.median(a[g]) for g in groups]), np.linspace(-np.pi, np.pi, 2 * len(groups) + 1)
+    profile = np.zeros(len(angles))
+    for _ in range(3):  # each time about the last one, across which the points of a group scatter less
+        off = r - np.interp(a, angles, profile)
+        profile += np.interp(angles, at, [np.median(off[g]) for g in groups], period=2 * np.pi)
+    return replace(axis, profile=profile / axis.radius)
 
 
 def walls(path: np.ndarray, cloud: Cloud, tuning: ChooseTuning) -> list[Found]:

@@ -201,7 +201,8 @@ class Ground:
         gradients = surface.frame.gradients(u, v, smooth)
         normal = np.einsum("...i,...ij->...j", slope, gradients)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        xyz, outwards = surface.frame.in_world(u, v, w), gradients[..., 2, :]
+        outwards = gradients[..., 2, :] / np.linalg.norm(gradients[..., 2, :], axis=-1, keepdims=True)
+        xyz = surface.frame.in_world(u, v, w)
         return Ground(xyz, normal, outwards=outwards, sigma=np.nan_to_num(sigma))
 
 

@@ -84,11 +84,12 @@ class Place:
     def frame(self, surface: Surface) -> dict:
         """How coordinates of the CRS (of the world, if it has none) become (u, v, w) of the files, JSON-ready:
         ``surface_from_crs`` (4, 4), or of a curved surface ``axis``, rows of u and x, y, z (of a wall x, y), and
-        ``radius``, None of a wall."""
+        ``radius``, None of a wall; with ``profile`` if a tube is no circle: distances from the axis at equal angles."""
         shift, frame = np.zeros(3) if self.origin is None else np.asarray(self.origin.shift_m), surface.frame
         if frame.nodes is not None:
             axis = np.c_[frame.stations, frame.nodes + shift][:, : 4 if frame.tube else 3]
-            return {"axis": axis.tolist(), "radius": frame.radius if frame.tube else None}
+            profile = {} if np.ptp(frame.profile) == 0 else {"profile": frame.around[1].tolist()}
+            return {"axis": axis.tolist(), "radius": frame.radius if frame.tube else None, **profile}
         to_world = transforms.rigid(np.eye(3), -shift)
         matrix = surface.file_from_uvw @ frame.surface_from_world @ to_world
         return {"surface_from_crs": matrix.tolist()}

@@ -20,9 +20,9 @@ class ProductsSettings(Section):
     plane: tuple[float, float, float, float] | None = None
     """A vertical reference plane instead of detected ones: east and north of its left and of its right end as
     seen from in front of it, in the CRS."""
-    unroll: Literal["tunnel", "wall"] | None = None
-    """Curved surfaces along the path of the cameras, unrolled, instead of elevations: the lining of a tunnel or pipe
-    round it, or walls beside it, such as curved quays or a round tower."""
+    unroll: Literal["tunnel", "profile", "wall"] | None = None
+    """Curved surfaces along the path of the cameras, unrolled, instead of elevations: the lining of a round tunnel or
+    pipe, that of a tube with any other profile, or walls beside the path, such as curved quays or a round tower."""
     objects_m: float = Field(40.0, gt=0, le=1000)
     """For a map: trees, cars and houses up to this width, metres, are removed from the terrain model; wider objects in
     every direction, such as a hall or a closed forest, stay in it. Terrain is interpolated to half of this."""

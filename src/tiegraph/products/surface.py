@@ -209,7 +209,9 @@ def choose(survey: Survey, settings: ProductsSettings, tuning: ChooseTuning) -> 
         why.append("products.plane has no effect beside products.unroll")
     made = [_trimmed(s, survey, settings, tuning) for s in found]
     shares = [f"{s.name}: {s.share:.0%} of the points" for s in made if np.isfinite(s.share)]
-    shares += [f"{s.name}: radius {s.frame.radius:.4g} {survey.unit}" for s in made if s.frame.tube]
+    for s in (s for s in made if s.frame.tube):
+        least, most = f"{s.frame.around[1].min():.4g}", f"{s.frame.around[1].max():.4g}"
+        shares.append(f"{s.name}: radius {least}{f' to {most}' if least != most else ''} {survey.unit}")
     sizes = [f"{s.name}: {s.shape[1]} x {s.shape[0]} pixels of {s.pixel_m:g} {survey.unit}" for s in made]
     return made, [*why, *shares, *sizes]
 
@@ -331,14 +333,18 @@ def _given(survey: Survey, ends: tuple[float, float, float, float], tuning: Choo
 def _unrolled(survey: Survey, kind: str, tuning: ChooseTuning) -> list[Surface]:
     """The curved surfaces of a kind along the path, the largest first."""
     cloud = survey.sample.where(evenly(len(survey.sample), _FITTED))
-    fits = {"tunnel": curved.tunnel, "wall": curved.walls}[kind](survey.path, cloud, tuning)
+    fits = (
+        curved.walls(survey.path, cloud, tuning)
+        if kind == "wall"
+        else curved.tunnel(survey.path, cloud, tuning, circle=kind == "tunnel")
+    )
     found = []
     for k, (frame, share) in enumerate(fits, 1):
         _, axes, bend = frame.axis(frame.stations)
         turns = np.sum(bend * axes[:, 1], axis=1) if not frame.tube else np.zeros(1)
-        deep, around = _near(survey, frame, tuning.reach), np.pi * frame.radius  # infinite for a wall
+        deep, ends = _near(survey, frame, tuning.reach), frame.around[2][[0, -1]] if frame.tube else [-np.inf, np.inf]
         room = [min(deep, curved.TIGHTEST / max(1e-9, (sign * turns).max())) for sign in (-1, 1)]
-        low, high = np.array([0.0, -around, -room[0]]), np.array([frame.stations[-1], around, room[1]])
+        low, high = np.array([0.0, ends[0], -room[0]]), np.array([frame.stations[-1], ends[1], room[1]])
         found.append(Surface(kind if frame.tube else f"{kind}{k}", frame, low=low, high=high, share=share))
     return found
 
