@@ -14,7 +14,7 @@ from sfm_worlds import make_world
 
 from tiegraph.scene.rig import Sensor
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.focal import focal_length, with_focal_lengths
+from tiegraph.sfm.focal import focal_lengths, with_focal_lengths
 from tiegraph.sfm.tuning import FocalTuning
 
 SIZE = 480, 360
@@ -37,6 +37,11 @@ def views(
         seen = ((b > 0) & (b < SIZE)).all(axis=1)
         if seen.sum() >= 40:
             yield tuple(x[seen] + rng.normal(0, 0.3, (int(seen.sum()), 2)) for x in (a, b))
+
+
+def focal_length(pairs: Pairs, size: tuple[int, int], tuning: FocalTuning) -> float | None:
+    """That of one camera."""
+    return focal_lengths({(0, 0): pairs}, size, tuning).get(0)
 
 
 def some(count: int, seed: int = 0, focal: float = 400.0, turn_deg: float = 10.0, flat: bool = False) -> Pairs:
@@ -68,6 +73,29 @@ def test_views_straight_on_do_not_determine_it() -> None:
 def test_few_pairs_do_not_determine_it() -> None:
     assert focal_length(some(5), SIZE, FocalTuning()) is None
     assert focal_length([], SIZE, FocalTuning()) is None
+
+
+def turned(first: float, second: float, angle_deg: float, count: int = 20) -> Pairs:
+    """Matches of two cameras of a vehicle that drives on between the frames: the second looks to the side and down."""
+    rng, centre, found = np.random.default_rng(0), np.array(SIZE) / 2, []
+    turn = Rotation.from_euler("yx", (angle_deg, 8), degrees=True).as_matrix()
+    while len(found) < count:
+        points = rng.uniform([-25, -4, 2], [25, 4, 25], (6000, 3))
+        other = (points - [0, 0, rng.uniform(1, 3)]) @ turn.T + rng.normal(scale=[1.0, 0.3, 0.3], size=3)
+        ahead = (points[:, 2] > 0.5) & (other[:, 2] > 0.5)
+        a, b = (f * p[ahead, :2] / p[ahead, 2:] + centre for f, p in ((first, points), (second, other)))
+        seen = ((a > 0) & (a < SIZE) & (b > 0) & (b < SIZE)).all(axis=1)
+        found.append(tuple(x[seen] + rng.normal(0, 0.3, (int(seen.sum()), 2)) for x in (a, b)))
+    return found
+
+
+def test_two_cameras_of_a_vehicle_that_drives_straight_on_determine_both_focal_lengths() -> None:
+    straight = some(20, turn_deg=0.0)
+    pairs = {(0, 0): straight, (1, 1): straight, (0, 1): turned(400, 190, 50), (0, 2): turned(400, 190, -50)}
+    found = focal_lengths(pairs, SIZE, FocalTuning())
+    assert found == pytest.approx({0: 400, 1: 190, 2: 190}, rel=0.15)
+    same = focal_lengths({(0, 1): turned(220, 220, 50), (0, 2): turned(220, 220, -50)}, SIZE, FocalTuning())
+    assert len(set(same.values())) == 1 and same[0] == pytest.approx(220, rel=0.12)
 
 
 def test_matches_that_no_geometry_explains_tell_nothing() -> None:

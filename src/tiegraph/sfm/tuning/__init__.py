@@ -51,9 +51,12 @@ class FocalTuning(Section):
     """Distance of a match from its epipolar line, in longer sides of the image."""
     flat: float = Field(0.8, gt=0, le=1)
     """Share of the matches that one plane explains, from which a pair tells nothing (COLMAP's max_H_inlier_ratio)."""
-    cap: float = Field(0.02, gt=0)
-    """Largest cost of a pair. If no focal length has it, the pair tells nothing: the worst costs 0.002 in pairs of
+    tells: float = Field(0.02, gt=0)
+    """A pair whose relative difference is nowhere larger tells nothing: the largest is 0.002 in pairs of one camera of
     vehicles that drive straight on (KITTI, PandaSet), 0.04 on canals, 0.2 on facades."""
+    denied: float = Field(0.8, gt=0, le=1)
+    """Cost of a camera's own focal length, as a share of that of the one of all, below which it has its own: 0.57 to
+    0.76 of the long lens of PandaSet (in three conditions), 0.88 and more of equal ones (uav_bands, canals)."""
     sure: float = Field(1.6, gt=1)
     """Ratio of the 90th to the 10th percentile of the bootstrap above which the guess stays: 1.0 to 1.4 where the
     focal length is right, 3.3 over the flat beach of brighton."""
