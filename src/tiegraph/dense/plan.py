@@ -203,7 +203,8 @@ def _candidates(
     if len(others) == 0:
         return []
     depth = max(float(np.median(table.depths(image, table.points[image]))), 1e-12)
-    rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
+    aside = (table.centres[others] - table.centres[image]) @ table.views[image].cam_from_world[:2, :3].T
+    rough_deg = np.degrees(np.linalg.norm(aside, axis=1) / depth)
     order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[:32]  # are looked at point by point
     looked = [_look(table, image, int(others[k]), int(counts[k]), settings, tuning) for k in order]
     good = [(partner, seen, weight) for partner, seen, weight in looked if not partner.reason]

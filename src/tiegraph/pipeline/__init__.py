@@ -70,7 +70,7 @@ STAGES = (
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=6,
            tuned=("masks", "sfm")),
-    _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
+    _stage("dense", ("georef", "refine"), ("depth",), "image", version=6, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=7,
            scratch=(".tiles",), tuned=("evaluate",)),
     _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=9,
