@@ -18,7 +18,7 @@ from benchmarks.variants import Book, Variant, load, median, run, spread
 BASE = Variant("base")
 _RIGID = {"confront": {"held_to_m": 1e9}, "diagnostics": {"min_scatter_px": 1e9, "min_sightings": 10**9}}
 VARIANTS = (
-    Variant("rig check off", {"tuning": {"network": {"rig": {"check": {"min_votes": 10**6}}}}}, "given order believed"),
+    Variant("rig check off", {"tuning": {"network": {"rig": {"frames": 0}}}}, "given order believed"),
     Variant("offsets constant", {"candidates": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),
     Variant("offsets none", {"candidates": {"sources": ["sequence", "retrieval"]}}, "neighbours and look-alikes only"),
     Variant("retrieval off", {"candidates": {"sources": ["sequence", "offsets"]}}, "no look-alikes"),

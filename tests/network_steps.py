@@ -93,7 +93,7 @@ def estimate_network(
     both = settings, CoarseSettings()
     if make is not None and worth_a_model(*both):
         explains = partial(agrees, match.__self__)  # type: ignore[attr-defined]
-        search = Search((found.pairs, found.scene), book, both, tuning.coarse, explains)
+        search = Search((found.pairs, found.scene), book, both, tuning, explains)
         mapper = Mapper(found.scene, tuning, make)
         while (wanted := search.wanted()) is not None:
             search.take(wanted, mapper(wanted))

@@ -22,7 +22,6 @@ import pycolmap
 
 from tiegraph.features.preview import Preview
 from tiegraph.network.loose import nearest_images
-from tiegraph.network.tuning import VocabularyTuning
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import Scene
 
@@ -73,7 +72,7 @@ def retrieval(scene: Scene, run: Path) -> list[Pair]:
     for name in scene.names:
         with np.load(run / "preview" / f"{name}.npz") as data:
             descriptors.append(Preview.from_npz(dict(data)).descriptors)
-    found, _ = nearest_images(descriptors, NEAREST, VocabularyTuning())
+    found, _ = nearest_images(descriptors, NEAREST)
     return [(scene.names[i], scene.names[j]) for i, row in enumerate(found) for j in row if j >= 0]
 
 

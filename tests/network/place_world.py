@@ -8,7 +8,6 @@ import numpy as np
 
 from boat_world import CHANCE, Result
 from tiegraph.network.loose import BagsOfWords, bags_of_words
-from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
@@ -81,7 +80,7 @@ def words_of(world: Places) -> BagsOfWords:
     """Words of a world, learnt once for all tests."""
     key = np.append(world.centre, world.around).astype(float).tobytes()
     if key not in _words:
-        _words[key] = bags_of_words(world.descriptors(), Tuning().retrieval.vocabulary)
+        _words[key] = bags_of_words(world.descriptors())
     return _words[key]
 
 

@@ -15,7 +15,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel, explained, with_surface
 from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import CourseTuning, TracksTuning, Tuning
+from tiegraph.network.tuning import CourseTuning, Tuning
 from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 
@@ -220,7 +220,7 @@ def test_only_what_was_guessed_is_calibrated() -> None:
 
 CAMERA = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 500.0, 640, 480)
 IMAGES, POINTS = 5, 40
-TRACKS = TracksTuning()
+TRACKS = CourseTuning()
 
 
 @pytest.fixture
@@ -254,8 +254,8 @@ def test_points_stand_where_the_rays_meet_and_a_ray_that_misses_is_left_out(stre
     assert np.linalg.norm(found.points[:, None] - street[3][None], axis=2).min(axis=0).max() < 1e-5
 
 
-@pytest.mark.parametrize(("tuning", "kept"), [({"images": 5}, POINTS), ({"images": 6}, 0), ({"angle_deg": 40.0}, 0)])
-def test_a_point_needs_rays_that_are_enough_and_apart(street, tuning, kept):
+@pytest.mark.parametrize(("tuning", "kept"), [({"tolerance_deg": 1.0}, POINTS), ({"tolerance_deg": 40.0}, 0)])
+def test_a_point_needs_rays_that_are_apart(street, tuning, kept):
     assert len(made(street, TRACKS.model_copy(update=tuning)).points) == kept
 
 

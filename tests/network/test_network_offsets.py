@@ -23,7 +23,14 @@ from tiegraph.network.axes import (
 from tiegraph.network.offsets import OFFSETS, estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.network.retrieval import Look, Timeline, seen_by_the_rig, unrelated
-from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, corridor, noise_floor_within, score_matrix
+from tiegraph.network.scorematrix import (
+    NoiseFloor,
+    ScoreMatrix,
+    corridor,
+    kernel_reach,
+    noise_floor_within,
+    score_matrix,
+)
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.meguro2024 import _around
@@ -101,7 +108,7 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     p, q = find_passes(world.scene)
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
     cache = MatchCache(world.match, len(world.scene))
-    scores = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets)
+    scores = score_matrix(p, q, 1, np.ones((5, 5), bool))
     step, every = world.step, _around(scores, (1, 3), 15, True, cache, settings)
     assert set(step[every.i] + step[every.j] - 15) == set(range(-4, 5))
     for best in (1, 2):
@@ -197,8 +204,7 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
 
     furthest, previews = [], []
     for budget in (1000, 2):
-        offsets = TUNING.offsets.model_copy(update={"min_budget": 0})
-        tuning = TUNING.model_copy(update={"offsets": offsets, "previews_an_image": budget})
+        tuning = TUNING.model_copy(update={"free_previews": 0, "previews_an_image": budget})
         context = context_of(world.scene, match, tuning=tuning)
         kept = estimate_offsets(context).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
@@ -209,12 +215,12 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
 def test_chance_gives_neither_heading_nor_direction() -> None:
     world = boat((20, 20), (1.5, 1.5))
     p, q = find_passes(world.scene)
-    scores = score_matrix(p, q, 2, np.ones((6, 6), bool), TUNING.offsets)
+    scores = score_matrix(p, q, 2, np.ones((6, 6), bool))
     rng = np.random.default_rng(3)
     few = np.zeros(scores.inliers.shape)
     few[tuple(rng.integers(0, n, 6) for n in few.shape)] = 1.0
     assert votes(few) == pytest.approx(6) and votes(np.zeros(3)) == 0
-    assert yaw(scores, few, TUNING.rig) is None and in_words(scores, few, TUNING.rig) == ""
+    assert yaw(scores, few) is None and in_words(scores, few, TUNING.rig) == ""
     smooth = np.full(few.shape, 8.0, np.float32)
     smooth[0, 0, 0, :3] = 20
     measured = replace(scores, inliers=smooth)
@@ -224,7 +230,7 @@ def test_chance_gives_neither_heading_nor_direction() -> None:
     back = np.zeros(few.shape)
     for c, d in [(0, 2), (0, 3), (1, 3), (1, 4), (2, 0), (3, 0)]:
         back[c, d, np.arange(10), 9 - np.arange(10)] = 1.0
-    assert direction(scores, back, TUNING.rig.common_view) == (True, True)
+    assert direction(scores, back) == (True, True)
     said = in_words(scores, back, TUNING.rig)
     assert "runs back along" in said and "turned by about" in said and "common view" not in said
     back[:, :, 5:] = 0
@@ -283,7 +289,7 @@ def test_the_path_between_passes_goes_by_a_lone_peak() -> None:
 def scores(stride: int = 2) -> ScoreMatrix:
     world = boat((11, 9), (2.0, 2.0))
     p, q = find_passes(world.scene)
-    return score_matrix(p, q, stride, np.ones((6, 6), bool), TUNING.offsets)
+    return score_matrix(p, q, stride, np.ones((6, 6), bool))
 
 
 def test_nodes_include_the_last_frame() -> None:
@@ -298,7 +304,7 @@ def test_the_frontier_of_a_long_band_is_that_of_the_whole_lattice(same) -> None:
     images = np.stack([frames, frames + 150])
     images[0, 40:44] = -1
     p, q = (replace(x, frames=frames, images=images + 300 * k) for k, x in enumerate(find_passes(boat().scene)))
-    band = score_matrix(p, p if same else q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets)
+    band = score_matrix(p, p if same else q, 1, np.array([[1, 1], [1, 0]], bool))
     a, b = np.ogrid[:150, :150]
     known = (np.abs(a - b) < 6) | (rng.random((2, 2, 150, 150)) < 0.001)
     counts = rng.integers(0, 20, known.shape).astype(np.float32)
@@ -340,13 +346,13 @@ def test_a_band_of_evidence_is_smoothed_and_interpolated_as_the_whole_lattice() 
     rng = np.random.default_rng(2)
     frames = np.arange(400)
     p, q = (replace(x, frames=frames, images=frames[None] + 400 * k) for k, x in enumerate(find_passes(boat().scene)))
-    band = score_matrix(p, q, 2, np.ones((1, 1), bool), TUNING.offsets)
+    band = score_matrix(p, q, 2, np.ones((1, 1), bool))
     a, b = np.ogrid[: len(band.rows), : len(band.columns)]
     known = (np.abs(a + b - len(band.columns)) < 9) | (rng.random((len(band.rows), len(band.columns))) < 0.001)
     counts = rng.integers(0, 60, known.shape).astype(np.float32)
     band = replace(band, inliers=np.where(known, counts, np.nan).astype(np.float32)[None, None])
     low, high = TUNING.counts.floor * 12, TUNING.counts.ceiling * 12
-    kernel = {"mode": "constant", "truncate": TUNING.offsets.kernel_cut_sigmas}
+    kernel = {"mode": "constant", "radius": kernel_reach(TUNING)}
     sums = [np.where(known, np.clip(counts, low, high) - low, 0), known]
     sums = [gaussian_filter(x.astype(np.float32), TUNING.counts.sigma_nodes, **kernel) for x in sums]
     smooth = band.smoothed(12, TUNING)
@@ -373,7 +379,7 @@ def test_a_lattice_that_grows_is_smoothed_and_followed_as_the_whole_of_it(same: 
     q = p if same else q
     near = 40 * np.exp(-(((frames[:, None] - frames) / 4) ** 2)) + rng.integers(0, 9, (300, 300))
     cache = MatchCache(lambda pairs: [Result(int(near[i % 300, j % 300])) for i, j in pairs], 1200)
-    grow = score_matrix(p, q, 1, np.array([[1, 1], [1, 0]], bool), TUNING.offsets)
+    grow = score_matrix(p, q, 1, np.array([[1, 1], [1, 0]], bool))
     seeds = np.zeros(grow.inliers.shape, bool)
     seeds[:, :, [40, 41, 170], 38:43] = seeds[:, :, 170, 165:175] = True
     grow = grow.measured(np.nonzero(seeds), cache)
@@ -395,7 +401,7 @@ def test_one_pass_is_symmetric_and_never_asks_twice() -> None:
     (p,) = find_passes(world.scene)
     asked = []
     cache = MatchCache(lambda pairs: asked.extend(pairs.tolist()) or [Result(20) for _ in pairs], len(world.scene))
-    empty = score_matrix(p, p, 2, np.ones((6, 6), bool), TUNING.offsets)
+    empty = score_matrix(p, p, 2, np.ones((6, 6), bool))
     full = empty.measured(np.nonzero(np.isnan(empty.inliers)), cache)
     assert len(asked) == len({tuple(a) for a in asked}) == 30 * 29 // 2
     assert np.array_equal(full.inliers, full.inliers.transpose(1, 0, 3, 2), equal_nan=True)
@@ -474,7 +480,7 @@ def test_the_level_of_frames_that_share_nothing() -> None:
 def test_the_band_is_one_run_of_distances() -> None:
     p = find_passes(Street().scene)[0]
     level = NoiseFloor(np.full((4, 4), 12.0), most=24.0, lowest=8.0, highest=24.0)
-    scores = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets, level)
+    scores = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), level)
     scores.inliers[:] = 8.0
     a, b = np.indices(scores.inliers.shape[2:])
     scores.inliers[1, 1, np.abs(a - b) <= 2] = 24.0

@@ -231,7 +231,7 @@ def test_a_guessed_focal_length_is_widened_to_the_rig() -> None:
 
     def focal_lengths(camera: pycolmap.Camera) -> set[float]:
         given = replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors))
-        return {c.mean_focal_length() for c in view_cameras(scene.with_(rigs=(given,)), TUNING.poses)}
+        return {c.mean_focal_length() for c in view_cameras(scene.with_(rigs=(given,)), TUNING.coarse.visible)}
 
     focal = focal_lengths(guess)
     assert len(focal) <= 2 and max(focal) < 330  # five cameras, 72 degrees apart

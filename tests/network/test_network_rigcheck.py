@@ -157,10 +157,10 @@ def test_many_cameras_are_put_right_by_swaps() -> None:
     rig = ring(9, up=False)
     angle = rig.axis_angles_deg()
     evidence = np.tile(np.maximum(0, np.cos(np.radians(angle))), (2, 1, 1))
-    assert orders(rig, evidence, TUNING.rig.check) == []
-    (found, *_) = orders(swapped(rig, [0, 1, 6, 3, 4, 5, 2, 7, 8]), evidence, TUNING.rig.check)
+    assert orders(rig, evidence, TUNING.verdict) == []
+    (found, *_) = orders(swapped(rig, [0, 1, 6, 3, 4, 5, 2, 7, 8]), evidence, TUNING.verdict)
     assert found.place == (0, 1, 6, 3, 4, 5, 2, 7, 8) and found.fit > 0.85
-    assert orders(rig, np.full_like(evidence, np.nan), TUNING.rig.check) == []
+    assert orders(rig, np.full_like(evidence, np.nan), TUNING.verdict) == []
 
 
 def lagging(late: dict[int, int], frames: int = 20, flow: float = 0.06) -> tuple[Scene, MatchCache]:

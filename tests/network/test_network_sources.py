@@ -173,7 +173,7 @@ def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
     found, (note,) = ordered(scene, match)
     assert (found.sequence == 0).all() and found.sequences == ("p0",) and found.guessed == ()
     assert "a sequence, 40 of 40 previews of neighbours tie, and 0 of 40" in note
-    assert Tuning().sample < sum(asked) <= 2 * Tuning().sample
+    assert Tuning().verdict.sample < sum(asked) <= 2 * Tuning().verdict.sample
 
 
 @pytest.mark.parametrize("case", ["another order", "everything ties", "gaps", "nothing ties"])

@@ -46,7 +46,7 @@ SWITCHES = {
     "georef.adjust": ("no", "auto"),
     "georef.antenna": ("ignored", "auto"),
     "refine.geometry": ("off", "auto"),
-    "tuning.network.rig.check.frames": (0, 16),
+    "tuning.network.rig.frames": (0, 16),
     "tuning.sfm.adjust.iterations": (0, 30),
     "tuning.sfm.placement.ties.trials": (0, 2000),
     "tuning.sfm.world.fixes.rows_per_frame": (0, 5),

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.network.scorematrix import ScoreMatrix
-from tiegraph.network.tuning import CommonViewTuning, RigTuning, Tuning
+from tiegraph.network.tuning import RigTuning, Tuning
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 
@@ -81,7 +81,7 @@ def votes(excess: np.ndarray) -> float:
     return total * total / float(np.sum(excess.astype(float) ** 2)) if total > 0 else 0.0
 
 
-def direction(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
+def direction(scores: ScoreMatrix, excess: np.ndarray) -> tuple[bool, bool]:
     """Whether frames of q run opposite to those of p (sign of the rank correlation), and whether
     that is significant."""
     weight = excess.sum(axis=(0, 1)).astype(float)
@@ -94,7 +94,7 @@ def direction(scores: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning)
     return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= LIMIT
 
 
-def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | None:
+def yaw(scores: ScoreMatrix, excess: np.ndarray) -> float | None:
     """Heading of q relative to p in degrees from the matching cameras; None if rigs differ or the votes are too few."""
     p, q = scores.p, scores.q
     if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
@@ -113,16 +113,16 @@ def yaw(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | N
 
 def in_words(scores: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
     """The relation of pass q to pass p by evidence (S, T, A, B) above the threshold; empty if there is none."""
-    turned, (backwards, sure) = yaw(scores, excess, tuning), direction(scores, excess, tuning.common_view)
+    turned, (backwards, sure) = yaw(scores, excess), direction(scores, excess)
     if turned is None and not sure:
         return ""
     way = ("runs back along" if backwards else "follows") if sure else "shares views with"
     heading = "" if turned is None else f", turned by about {turned:.0f} deg"
-    weight, view = excess.sum(axis=(0, 1)), tuning.common_view
+    weight = excess.sum(axis=(0, 1))
     frames, partly = [], False
     for p, ranks, own in ((scores.p, scores.rows, weight.sum(axis=1)), (scores.q, scores.columns, weight.sum(axis=0))):
-        hot = ranks[own > view.rim * own.max()]
-        partly |= bool(hot[-1] - hot[0] + 1 < view.whole * len(p))
+        hot = ranks[own > tuning.rim * own.max()]
+        partly |= bool(hot[-1] - hot[0] + 1 < (1 - 2 * tuning.rim) * len(p))
         frames.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")
     common = f"; common view: {' and '.join(frames)}" if partly else ""
     return f"{scores.q.name} {way} {scores.p.name}{heading} (voted by previews){common}"
@@ -135,8 +135,7 @@ def above(smooth: np.ndarray, min_matches: int) -> np.ndarray:
 
 def without_chance(scores: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
     """``smooth`` lowered to chance between two passes when too few nodes of all are above ``min_matches``."""
-    view = tuning.rig.common_view
-    least = min(view.least_votes, view.least_share * int(np.isfinite(scores.inliers).sum()))
+    least = min(tuning.verdict.votes, tuning.rig.common_share * int(np.isfinite(scores.inliers).sum()))
     if scores.same or votes(above(smooth, min_matches)) >= least:
         return smooth
     chance = tuning.counts.floor * min_matches

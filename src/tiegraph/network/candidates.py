@@ -34,6 +34,7 @@ from tiegraph.network.rigcheck import check_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.plugins import chosen
+from tiegraph.scene.evidence import ENOUGH
 from tiegraph.scene.pairs import Pairs, PreviewMatches, read_pair_list
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import among_best
@@ -107,16 +108,16 @@ def _shown(context: Context, found: Pass) -> tuple[bool, str]:
     tuning, chance = context.tuning, context.settings.min_matches
     images = found.images[0][found.images[0] >= 0]
     count = len(images)
-    some = min(count - 1, tuning.sample)
+    some = min(count - 1, tuning.verdict.sample)
     near = np.unique(np.linspace(0, count - 2, some).astype(int)) if count > 1 else np.zeros(0, int)
     half = count // 2
     rng = np.random.default_rng(0)
     a, b = np.triu_indices(count, k=max(half, 1))
-    far = np.sort(rng.choice(len(a), min(len(a), tuning.sample), replace=False))
+    far = np.sort(rng.choice(len(a), min(len(a), tuning.verdict.sample), replace=False))
     first, second = np.r_[images[near], images[a[far]]], np.r_[images[near + 1], images[b[far]]]
     counts = context.cache.measure(first, second)
     close, apart = counts[: len(near)], counts[len(near) :]
-    if len(close) < tuning.order_neighbours:
+    if len(close) < ENOUGH:
         return False, f"its {count} images are too few for a test"
     sure = tuning.counts.sure * chance
     said = (
@@ -125,7 +126,7 @@ def _shown(context: Context, found: Pass) -> tuple[bool, str]:
         f"{np.median(apart):.0f} matches)"
     )
     least, most = np.percentile(close, 25), np.percentile(apart, 75)
-    clearly = most - chance < tuning.order_far * (least - chance)
+    clearly = most - chance < tuning.verdict.tells_nothing * (least - chance)
     return bool(least >= sure and clearly), said
 
 
@@ -279,6 +280,6 @@ def confirmed(proposal: Proposal, context: Context) -> Proposal:
     loose = context.scene.sequence[context.scene.frame] < 0
     ends, base = np.r_[pairs.i[kept], pairs.j[kept]], np.tile(pairs.baseline_m[kept], 2)
     near = np.zeros(len(pairs), bool)
-    near[kept] = among_best(ends, -base, context.tuning.nearest_photos).reshape(2, -1).any(axis=0)
+    near[kept] = among_best(ends, -base, context.tuning.best_photos).reshape(2, -1).any(axis=0)
     near &= loose[pairs.i] & loose[pairs.j]
     return replace(proposal, pairs=pairs.with_(score=score).drop(weak & ~near, "weak"))

@@ -1,9 +1,10 @@
 """Loose photographs without order or position, and the words by which look-alikes are found.
 
-Bags of visual words are learnt on the survey's own previews (Sivic & Zisserman 2003): two small two-level vocabularies
+Bags of visual words are learnt on the survey's own previews (Sivic & Zisserman 2003): a small two-level vocabulary
 (Nister & Stewenius 2006) instead of VLAD (Jegou 2010; Arandjelovic 2013), because on 300 rendered images 40 retrieved
 images hold 0.35 instead of 0.31 of the pairs that share 15 % of their surface, on 79 photographs 0.83 instead of 0.79
-of the pairs that SIFT verifies. Nothing is downloaded.
+of the pairs that SIFT verifies (by two vocabularies, which find 0.01 to 0.02 more than one and cost twice). Nothing is
+downloaded.
 
 Look-alikes are previewed first, then neighbours of neighbours: sample and propagate (Cui et al. 2017). Pairs are kept
 as on the lattice of a pass, except that the neighbours in the graph of previews take the place of those in time: on
@@ -15,10 +16,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array
 
 from tiegraph.network.passes import Context
-from tiegraph.network.tuning import LooseTuning, Tuning, VocabularyTuning
+from tiegraph.network.tuning import Tuning
+from tiegraph.scene.evidence import FEW
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import among_best
 
@@ -75,39 +77,33 @@ class BagsOfWords:
         return out
 
 
-def bags_of_words(descriptors: Sequence[np.ndarray], tuning: VocabularyTuning) -> BagsOfWords:
+def bags_of_words(descriptors: Sequence[np.ndarray], training: int = 200_000) -> BagsOfWords:
     """Words of images with root-SIFT descriptors (K, 128) u1 each; K = 0 is legal. Deterministic.
 
-    ``descriptors`` is read a few times, image by image: it may load on demand.
+    ``descriptors`` is read a few times, image by image: it may load on demand. ``training``: descriptors from which
+    the vocabulary is learnt, at most (100 MB).
     """
     total = sum(len(d) for d in descriptors)
     if total == 0:
         return BagsOfWords(csr_array((len(descriptors), 1), dtype=np.float32))
     words = int(np.clip(total / 12, 256, 65536))  # 8 to 16 features a word are equally good from 79 to 300 images
-    parts = []
-    for seed in range(tuning.vocabularies):
-        # (K, 128) f4 descriptors, the same share of every image
-        share = min(1.0, tuning.training / total)
-        rng = np.random.default_rng(seed)
-        taken = [d[rng.random(len(d)) < share] for d in descriptors]
-        taken = np.concatenate(taken).astype(np.float32).reshape(-1, 128)
-        vocabulary = _learn(taken, words, seed, tuning.rounds)
-        parts.append(_weighted(_counted(descriptors, vocabulary)))
-    both = csr_array(hstack(parts).tocsr(), dtype=np.float32)
-    return BagsOfWords(_unit(both))
+    rng = np.random.default_rng(0)
+    taken = [d[rng.random(len(d)) < training / total] for d in descriptors]  # the same share of every image
+    vocabulary = _learn(np.concatenate(taken).astype(np.float32).reshape(-1, 128), words)
+    return BagsOfWords(_weighted(_counted(descriptors, vocabulary)))
 
 
 def words_of(context: Context) -> BagsOfWords:
     """The words of all images of a scene, by their previews."""
-    return bags_of_words(context.descriptors(), context.tuning.retrieval.vocabulary)
+    return bags_of_words(context.descriptors())
 
 
 def nearest_images(
-    descriptors: Sequence[np.ndarray], count: int, tuning: VocabularyTuning
+    descriptors: Sequence[np.ndarray], count: int, training: int = 200_000
 ) -> tuple[np.ndarray, np.ndarray]:
     """The ``count`` most similar images of each of N images with descriptors (K, 128) u1: indices (N, C) i4, -1 = no
     more, and cosines (N, C) f4, best first. Linear memory; 4000 images of 800 features take half a minute."""
-    return bags_of_words(descriptors, tuning).nearest(count)
+    return bags_of_words(descriptors, training).nearest(count)
 
 
 @dataclass(frozen=True)
@@ -130,22 +126,20 @@ class _Vocabulary:
         return out
 
 
-def _learn(x: np.ndarray, words: int, seed: int, rounds: int) -> _Vocabulary:
-    rng = np.random.default_rng(seed)
+def _learn(x: np.ndarray, words: int) -> _Vocabulary:
+    rng = np.random.default_rng(0)
     side = max(1, round(np.sqrt(words)))
-    cells = _k_means(x, side, rng, rounds)
+    cells = _k_means(x, side, rng)
     cell = _closest(x, cells)
-    each = [
-        _k_means(x[cell == c], side, rng, rounds) if (cell == c).any() else cells[c : c + 1] for c in range(len(cells))
-    ]
+    each = [_k_means(x[cell == c], side, rng) if (cell == c).any() else cells[c : c + 1] for c in range(len(cells))]
     return _Vocabulary(cells, tuple(each), np.concatenate([[0], np.cumsum([len(w) for w in each])]))
 
 
-def _k_means(x: np.ndarray, k: int, rng: np.random.Generator, rounds: int) -> np.ndarray:
+def _k_means(x: np.ndarray, k: int, rng: np.random.Generator) -> np.ndarray:
     """At most ``k`` centres (C, 128) of descriptors (K, 128) by Lloyd's rounds from random starts."""
     k = min(k, len(x))
     centres = x[np.sort(rng.permutation(len(x))[:k])]
-    for _ in range(rounds):
+    for _ in range(8):  # rounds
         label = _closest(x, centres)
         size = np.bincount(label, minlength=k)
         members = csr_array((np.ones(len(x), np.float32), (label, np.arange(len(x)))), shape=(k, len(x)))
@@ -227,19 +221,18 @@ class _Nodes:
 def scored_pairs(context: Context, images: np.ndarray, words: BagsOfWords) -> Pairs:
     """Pairs of loose images (K,) among each other and with the images of passes, by previews.
 
-    Up to ``all_limit`` images every pair is previewed; beyond, a number per image: look-alikes by ``words`` (of all
+    As long as previews are free every pair is previewed; beyond, a number per image: look-alikes by ``words`` (of all
     images of the scene) and then neighbours of neighbours. Dropped pairs carry ``weak``.
     """
     if len(images) == 0:
         return Pairs.empty()
     scene, least, tuning = context.scene, context.settings.min_matches, context.tuning
-    loose = tuning.retrieval.loose
     ordered = np.flatnonzero(
         (scene.sequence[scene.frame] >= 0) & (scene.sequence_index[scene.frame] % 4 == 0)  # one frame of four
     )
     chosen = np.unique(np.concatenate([images, ordered]))
     nodes = _Nodes(chosen, np.isin(chosen, images), words)
-    if len(nodes) <= loose.all_limit:
+    if len(nodes) * (len(nodes) - 1) / 2 <= tuning.free_previews:
         key = nodes.keys(*np.triu_indices(len(nodes), k=1))
     else:
         key = _propagated(nodes, context)
@@ -247,7 +240,7 @@ def scored_pairs(context: Context, images: np.ndarray, words: BagsOfWords) -> Pa
     i, j = nodes.image[a], nodes.image[b]
     score = nodes.measure(key, context)
     keep = supported((a, b), score, len(nodes), least, tuning)
-    keep |= among_best(np.r_[i, j], np.r_[score, score], loose.best).reshape(2, -1).any(axis=0) & (score > 0)
+    keep |= among_best(np.r_[i, j], np.r_[score, score], tuning.best_photos).reshape(2, -1).any(axis=0) & (score > 0)
     return Pairs.make(i, j, "retrieval", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
 
@@ -256,7 +249,7 @@ def supported(
 ) -> np.ndarray:
     """(K,) bool: whether node pairs a, b (K,), (K,) of ``count`` nodes tie, by their preview counts (K,) and by the
     cosine between the rows of their ties to all nodes; a node counts as tied to itself."""
-    (a, b), counts, loose = nodes, tuning.counts, tuning.retrieval.loose
+    (a, b), counts = nodes, tuning.counts
     level = np.clip(score / min_matches, counts.floor, counts.ceiling)
     enough = np.zeros(len(a), bool)
     graph = _graph(a, b, score, count, min_matches, own=1.0)
@@ -265,7 +258,7 @@ def supported(
         part = slice(start, start + _ROWS * 64)
         common = (graph[a[part]] * graph[b[part]]).sum(axis=1)
         cosine = common / (length[a[part]] * length[b[part]])
-        enough[part] = level[part] + loose.support * cosine >= loose.enough
+        enough[part] = level[part] + tuning.retrieval.support * cosine >= counts.ceiling
     return enough & (score >= counts.floor * min_matches)
 
 
@@ -282,11 +275,11 @@ def _propagated(nodes: _Nodes, context: Context) -> np.ndarray:
     """Numbers of the previewed node pairs: look-alikes and neighbours by name, then, while previews tie and the budget
     lasts, neighbours of neighbours; images with few ties go further down their list."""
     count, tuning, least = len(nodes), context.tuning, context.settings.min_matches
-    loose, sure = tuning.retrieval.loose, tuning.retrieval.sure_alike * least
+    sure, each = tuning.counts.sure * least, tuning.retrieval.look_alikes
     budget = tuning.previews_an_image * count
     own = np.flatnonzero(nodes.loose)
-    near = [nodes.keys(own[:-step], own[step:]) for step in range(1, loose.by_name + 1)]
-    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, loose)]))
+    near = [nodes.keys(own[:-step], own[step:]) for step in range(1, context.settings.sequence_frames + 1)]
+    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, each)]))
     depth = 0
     while True:
         score = nodes.measure(key, context)
@@ -294,30 +287,32 @@ def _propagated(nodes: _Nodes, context: Context) -> np.ndarray:
         tied = score >= sure
         degree = np.bincount(np.r_[a[tied], b[tied]], minlength=count)
         depth += 1
-        lonely = own[degree[own] < loose.few_ties]
-        deeper = _starts(nodes, lonely, depth, loose)
-        friends = _friends(nodes, (a, b), score, least)
+        lonely = own[degree[own] < FEW]
+        deeper = _starts(nodes, lonely, depth, each)
+        friends = _friends(nodes, (a, b), score, least, each)
         new = np.setdiff1d(np.union1d(friends, deeper), key)
         if not len(new) or len(key) + len(new) > budget:
             return key
         hits = nodes.measure(new, context) >= sure
         key = np.union1d(key, new)
-        if hits.mean() < loose.hit_rate:
+        if hits.mean() < tuning.retrieval.hit_rate:
             return key
 
 
-def _starts(nodes: _Nodes, start: np.ndarray, depth: int, tuning: LooseTuning) -> np.ndarray:
-    """Numbers of each start's look-alikes, further down its list with ``depth``."""
+def _starts(nodes: _Nodes, start: np.ndarray, depth: int, each: int) -> np.ndarray:
+    """Numbers of ``each`` look-alikes of every start, further down its list with ``depth``."""
     if not len(start):
         return np.zeros(0, np.int64)
-    other, _ = nodes.words.among(nodes.image).nearest(tuning.start * (depth + 1), start)
-    other = other[:, tuning.start * depth :]
+    other, _ = nodes.words.among(nodes.image).nearest(each * (depth + 1), start)
+    other = other[:, each * depth :]
     repeated = np.repeat(start, other.shape[1])[other.ravel() >= 0]
     return nodes.keys(repeated, other.ravel()[other.ravel() >= 0])
 
 
-def _friends(nodes: _Nodes, known: tuple[np.ndarray, np.ndarray], score: np.ndarray, min_matches: int) -> np.ndarray:
-    """Numbers of the new pairs, six for each node, with the highest score: common ties times similarity."""
+def _friends(
+    nodes: _Nodes, known: tuple[np.ndarray, np.ndarray], score: np.ndarray, min_matches: int, each: int
+) -> np.ndarray:
+    """Numbers of the new pairs, ``each`` for a node, with the highest score: common ties times similarity."""
     (a, b), count = known, len(nodes)
     graph = _graph(a, b, score, count, min_matches)
     old = nodes.keys(a, b)
@@ -330,6 +325,6 @@ def _friends(nodes: _Nodes, known: tuple[np.ndarray, np.ndarray], score: np.ndar
         fresh &= ~np.isin(np.minimum(row, column).astype(np.int64) * count + np.maximum(row, column), old)
         row, column, value = row[fresh], column[fresh], value[fresh]
         value = value * nodes.words.between(nodes.image[row], nodes.image[column])
-        chosen = among_best(row, value, 6)
+        chosen = among_best(row, value, each)
         out.append(nodes.keys(row[chosen], column[chosen]))
     return np.unique(np.concatenate(out))

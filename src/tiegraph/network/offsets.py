@@ -70,7 +70,7 @@ def estimate_offsets(context: Context) -> Proposal:
 def _local_offsets(context: Context, pass_pairs: list[tuple[Pass, Pass]]) -> list[Proposal]:
     """Every two passes, each with an equal share of the budget that is left; a coarser lattice where it is spent."""
     cache, tuning, offsets = context.cache, context.tuning, context.tuning.offsets
-    budget = len(cache) + max(offsets.min_budget, tuning.previews_an_image * len(context.scene))
+    budget = len(cache) + max(tuning.free_previews, tuning.previews_an_image * len(context.scene))
     strides = {id(p): _stride(context, p) for p in context.passes}
     parts = []
     for k, (p, q) in enumerate(pass_pairs):
@@ -96,7 +96,7 @@ def _stride(context: Context, p: Pass) -> int:
     noise_floor = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
     for camera, images in enumerate(p.images):
         best = 0
-        for step in tuning.offsets.ladder:
+        for step in tuning.ladder:
             start = starts[starts + step < len(p)]
             left, right = images[start], images[start + step]
             there = (left >= 0) & (right >= 0)
@@ -108,7 +108,7 @@ def _stride(context: Context, p: Pass) -> int:
             best = step
         reach.append(best)
     most = min(16, max(1, len(p) // 4))
-    return int(np.clip(round(float(np.median(reach)) / tuning.offsets.strides_a_reach + 1), 1, most))
+    return int(np.clip(round(float(np.median(reach)) / tuning.strides_a_reach + 1), 1, most))
 
 
 def _usual(
@@ -162,7 +162,7 @@ def _seed_same(context: Context, p: Pass, stride: int) -> ScoreMatrix:
     settings, tuning = context.settings, context.tuning
     allowed = allowed_within(p.rig, settings.axes_deg)
     noise_floor = noise_floor_within(p, allowed, context.cache, settings.min_matches, tuning)
-    scores = score_matrix(p, p, stride, allowed, tuning.offsets, noise_floor)
+    scores = score_matrix(p, p, stride, allowed, noise_floor)
     c, d, a, b = np.ogrid[tuple(slice(n) for n in scores.inliers.shape)]
     once = (c < d) | ((c == d) & (a < b))  # of the two nodes with the same image pair
     sampled = np.isin(a, evenly(len(scores.rows), settings.sample_frames))
@@ -176,9 +176,9 @@ def _seed_across(
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     cache, settings, tuning = context.cache, context.settings, context.tuning
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
-    scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets)
+    scores = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool))
     cameras = len(p.images) * len(q.images)
-    side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
+    side = int(np.sqrt(max(0, budget - len(cache)) / (2 * cameras)))  # half the budget: the rest is for growth
     nodes = min(24, max(4, side))
     a, b = np.ogrid[: len(scores.rows), : len(scores.columns)]
     coarse = np.isin(a, evenly(len(scores.rows), nodes)) & np.isin(b, evenly(len(scores.columns), nodes))
@@ -190,7 +190,7 @@ def _seed_across(
         beside = _beside(scores, centre, offsets.window_nodes + kernel_reach(tuning))
         scores = replace(scores, noise_floor=noise_floor_away(scores, beside, least, tuning))
     excess = axes.above(scores.smoothed(least, tuning), least) * beside
-    scores = replace(scores, allowed=facing(scores, excess, settings, tuning.rig))
+    scores = replace(scores, allowed=facing(scores, excess, settings))
     centre = _path(excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
         return scores, None
@@ -312,10 +312,10 @@ def _copies(context: Context, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     return out
 
 
-def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
+def facing(scores: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q relative to p; all,
     if that is unknown."""
-    yaw = axes.yaw(scores, excess, tuning)
+    yaw = axes.yaw(scores, excess)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
     return angles_deg(scores.p.rig, yaw) <= settings.axes_deg

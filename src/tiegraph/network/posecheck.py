@@ -22,8 +22,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.visible import pair_share
 from tiegraph.network.passes import Context, Pass
 from tiegraph.network.poses import PoseResult, pose_pairs, prior_views, view_cameras, with_headings
-from tiegraph.network.tuning import PriorTuning
-from tiegraph.scene.evidence import LIMIT, RARELY, mostly_more
+from tiegraph.scene.evidence import ENOUGH, LIMIT, RARELY, mostly_more
 from tiegraph.scene.pairs import Pairs, pair_key
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import Columns
@@ -82,14 +81,14 @@ def checked_pose_pairs(context: Context) -> PoseResult:
 def check_prior(context: Context, result: PoseResult) -> PriorCheck:
     """Preview a sample of the pairs that a prior proposes and refuses, and compare with other readings of the same
     prior."""
-    scene, tuning = context.scene, context.tuning.poses
+    scene, tuning = context.scene, context.tuning
     sure = context.tuning.counts.sure * context.settings.min_matches
     sample = _sample(context, result.pairs, sure)
     # By kind: pairs proposed, number that tie, pairs refused, number that tie
     sides = (sample.proposed, sample.proposed & sample.tied, ~sample.proposed, ~sample.proposed & sample.tied)
     table = np.stack([np.bincount(sample.kind[side], minlength=len(KINDS)) for side in sides], axis=1)
     there = np.flatnonzero(table.any(axis=1))
-    bad = [k for k in there if not _tells(table[k], table.sum(axis=0) - table[k], tuning.prior)]
+    bad = [k for k in there if not _tells(table[k], table.sum(axis=0) - table[k], tuning.verdict.tells_nothing)]
     fit, better = _readings(context, sample, result.range_m)
     apart = bad == [OTHER_PASS] and not better.names and bool((scene.sequence >= 0).all())
     notes = _notes(table[there], [KINDS[k] for k in there], [KINDS[k] for k in bad], fit, better)
@@ -119,11 +118,11 @@ class _Sample(Columns):
 
 def _sample(context: Context, pairs: Pairs, sure: float) -> _Sample:
     """Some pairs of each kind; refused ones also from those too far apart to be listed."""
-    scene, tuning, most = context.scene, context.tuning.poses.prior, context.tuning.sample
+    scene, most = context.scene, context.tuning.verdict.sample
     rng = np.random.default_rng(0)
     world = scene.pose_world()[scene.frame]
     placed = np.flatnonzero(world >= 0)
-    a, b = rng.choice(placed, tuning.drawn), rng.choice(placed, tuning.drawn)
+    a, b = rng.choice(placed, (2, len(pairs)))  # as many as are listed
     i, j = np.concatenate([pairs.i, np.minimum(a, b)]), np.concatenate([pairs.j, np.maximum(a, b)])
     offered = np.concatenate([pairs.dropped == 0, np.zeros(len(a), bool)])
     _, first = np.unique(pair_key(i, j), return_index=True)
@@ -131,7 +130,7 @@ def _sample(context: Context, pairs: Pairs, sure: float) -> _Sample:
     i, j, offered = i[first], j[first], offered[first]
     sequence, step = scene.sequence[scene.frame], scene.sequence_index[scene.frame]
     same = (sequence[i] == sequence[j]) & (sequence[i] >= 0)
-    near = same & (np.abs(step[i] - step[j]) <= tuning.near_steps)
+    near = same & (np.abs(step[i] - step[j]) <= context.tuning.coarse.near_steps)
     loose = (sequence[i] < 0) & (sequence[j] < 0)
     kind = np.where(near, 0, np.where(same, 1, np.where(loose, 3, OTHER_PASS)))
     groups = [np.flatnonzero((kind == k) & (offered == side)) for k in range(len(KINDS)) for side in (True, False)]
@@ -141,17 +140,17 @@ def _sample(context: Context, pairs: Pairs, sure: float) -> _Sample:
     return _Sample(i=i, j=j, proposed=offered[take], kind=kind[take], count=count, tied=count >= sure)
 
 
-def _tells(counts: np.ndarray, others: np.ndarray, tuning: PriorTuning) -> bool:
+def _tells(counts: np.ndarray, others: np.ndarray, most: float) -> bool:
     """Whether refused pairs of a kind tie much more rarely than proposed ones, or if hardly any is proposed, not more
     often than refused ones of the ``others``; yes with too few pairs or ties. Both (4,) as in the table."""
     proposed, tied, refused, lost = counts.tolist()
-    if refused < tuning.enough or tied + lost < tuning.few_ties:
+    if refused < ENOUGH or tied + lost < ENOUGH:
         return True
-    if proposed < tuning.enough:
+    if proposed < ENOUGH:
         more = _significance((lost, refused), (others[3], others[2]))
-        return others[2] < tuning.enough or more < LIMIT
+        return others[2] < ENOUGH or more < LIMIT
     significant = _significance((tied, proposed), (lost, refused)) > LIMIT
-    return significant and lost / refused < tuning.bad_ratio * tied / proposed
+    return significant and lost / refused < most * tied / proposed
 
 
 def _significance(first: tuple[int, int], second: tuple[int, int]) -> float:
@@ -176,22 +175,22 @@ class _Better:
 
 def _readings(context: Context, sample: _Sample, range_m: float) -> tuple[float, _Better]:
     """The agreement of the prior as given with the previews, and the reading with a better one."""
-    scene, passes, prior = context.scene, context.passes, context.tuning.poses.prior
+    scene, passes, prior = context.scene, context.passes, context.tuning.verdict
     given = _share(context, scene.world_from_rig, sample, range_m)
-    before = _parts(given, sample, prior.enough)
+    before = _parts(given, sample)
     if not before:
         return float("nan"), _Better()
-    fit, tells = _fit(before), _area(given, sample, prior.few_ties)
+    fit, tells = _fit(before), _area(given, sample)
     fits, gains, tried = {}, {}, 0
     for name, poses in _possible(scene, passes, prior.shifts_frames):
         tried += 1
         share = _share(context, poses, sample, range_m)
         share = np.where(np.isfinite(given), np.nan_to_num(share), np.nan)
-        if not _area(share, sample, prior.few_ties) < tells + prior.better_tells:
-            after = _parts(share, sample, prior.enough)
+        if not _area(share, sample) < tells + prior.alike:
+            after = _parts(share, sample)
             fits[name], gains[name] = _fit(after), np.concatenate(after) - np.concatenate(before)
     best = max(fits.values(), default=fit)
-    if not best > fit + prior.better or best < prior.sure_fit:
+    if not best > fit + prior.alike or best < prior.agreement:
         return fit, _Better()
     alike = tuple(n for n, f in fits.items() if f > best - prior.alike)[:2]
     return fit, _Better(alike, best, all(mostly_more(gains[n], tried) for n in alike))
@@ -234,11 +233,11 @@ def _share(context: Context, poses: np.ndarray, sample: _Sample, range_m: float)
     passes, tuning, read = context.passes, context.tuning, context.scene.with_(world_from_rig=poses)
     full, headings = with_headings(read, passes)
     cam_from_world = transforms.invert(prior_views(read, full, headings, passes).pose)
-    cameras = view_cameras(read, tuning.poses)
+    cameras = view_cameras(read, tuning.coarse.visible)
     return pair_share(cam_from_world, cameras, sample.i, sample.j, range_m, tuning.coarse)
 
 
-def _parts(share: np.ndarray, sample: _Sample, enough: int) -> list[np.ndarray]:
+def _parts(share: np.ndarray, sample: _Sample) -> list[np.ndarray]:
     """The part of each pair in the rank correlation of predicted overlap and matches, kind by kind."""
     from scipy.stats import rankdata  # a second to load
 
@@ -247,7 +246,7 @@ def _parts(share: np.ndarray, sample: _Sample, enough: int) -> list[np.ndarray]:
         return np.asarray(rank / max(float(np.std(rank)), 1e-12))
 
     there = [(sample.kind == k) & np.isfinite(share) for k in range(len(KINDS))]
-    there = [rows for rows in there if rows.sum() >= 2 * enough and np.ptp(sample.count[rows]) > 0]
+    there = [rows for rows in there if rows.sum() >= 2 * ENOUGH and np.ptp(sample.count[rows]) > 0]
     return [ranks(share[rows]) * ranks(sample.count[rows]) for rows in there]
 
 
@@ -256,7 +255,7 @@ def _fit(parts: list[np.ndarray]) -> float:
     return float(np.mean([np.mean(p) for p in parts]))
 
 
-def _area(share: np.ndarray, sample: _Sample, few: int) -> float:
+def _area(share: np.ndarray, sample: _Sample) -> float:
     """Probability that a pair that ties has more predicted overlap than one that does not, mean over the kinds (area
     under the ROC curve); NaN = too few pairs."""
     from scipy.stats import mannwhitneyu  # a second to load
@@ -265,7 +264,7 @@ def _area(share: np.ndarray, sample: _Sample, few: int) -> float:
     for k in range(len(KINDS)):
         there = (sample.kind == k) & np.isfinite(share)
         yes, no = share[there & sample.tied], share[there & ~sample.tied]
-        if min(len(yes), len(no)) >= few:
+        if min(len(yes), len(no)) >= ENOUGH:
             found.append(float(mannwhitneyu(yes, no).statistic) / (len(yes) * len(no)))
     return float(np.mean(found)) if found else float("nan")
 

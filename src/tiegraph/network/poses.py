@@ -17,7 +17,7 @@ from tiegraph.network.coarse.proxy import assumed_proxy
 from tiegraph.network.coarse.visible import Overlap, shared_surface
 from tiegraph.network.passes import Pass, image_table
 from tiegraph.network.settings import CandidatesSettings
-from tiegraph.network.tuning import PosesTuning, Tuning
+from tiegraph.network.tuning import PosesTuning, Tuning, VisibleTuning
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.pairs import REASONS, Pairs, pair_key
 from tiegraph.scene.scene import Scene
@@ -164,7 +164,7 @@ def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray
     return out
 
 
-def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | None]:
+def view_cameras(scene: Scene, tuning: VisibleTuning) -> list[pycolmap.Camera | None]:
     """The camera of each image with its largest possible field of view, so that a guessed focal length hides nothing.
 
     The cameras of a rig are mounted to overlap, so a guess is widened to ``shared_view`` of the angle to the next one.
@@ -179,7 +179,7 @@ def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | No
     return [made[k] for k in scene.sensor_key]
 
 
-def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesTuning) -> pycolmap.Camera | None:
+def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: VisibleTuning) -> pycolmap.Camera | None:
     if camera is None or camera.has_prior_focal_length:
         return camera
     shared = min(1.25 * next_deg, 120.0) if np.isfinite(next_deg) else 0.0  # neighbours overlap by a quarter
@@ -195,7 +195,7 @@ def predicted_overlap(
     scene: Scene, views: Views, reach: float, settings: CandidatesSettings, tuning: Tuning
 ) -> Overlap:
     """Shared surface of all images with trusted poses, world by world."""
-    cameras = view_cameras(scene, tuning.poses)
+    cameras = view_cameras(scene, tuning.coarse.visible)
     cam_from_world = np.full((len(scene), 4, 4), np.nan)
     cam_from_world[views.trusted] = np.linalg.inv(views.pose[views.trusted])
     slack = np.minimum(views.sigma_m / reach, 0.3)

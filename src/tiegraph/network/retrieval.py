@@ -17,7 +17,8 @@ import numpy as np
 from tiegraph.network.loose import BagsOfWords, scored_pairs, words_of
 from tiegraph.network.passes import Context, Pass, Proposal, loose_images
 from tiegraph.network.scorematrix import NoiseFloor, noise_floor
-from tiegraph.network.tuning import LoopSearchTuning
+from tiegraph.network.tuning import Tuning
+from tiegraph.scene.evidence import ENOUGH
 from tiegraph.scene.graph import parts
 from tiegraph.scene.pairs import REASONS, Pairs
 
@@ -44,15 +45,15 @@ def loop_candidates(context: Context, words: BagsOfWords, known: Pairs | None = 
     passes = [p for p in context.passes if len(p) > 1]
     if not passes:
         return Proposal(Pairs.empty())
-    tuning = context.tuning.retrieval.loops
+    tuning = context.tuning
     line = timeline(passes, words, tuning)
     blocked = _blocked(line, known)
     look = Look(context=context, line=line, level=unrelated(context, line, blocked))
-    (i, j), spent = _grown(look, _look_alikes(line, words, blocked, tuning.look_alikes), blocked)
+    (i, j), spent = _grown(look, _look_alikes(line, words, blocked, tuning.retrieval.look_alikes), blocked)
     count = context.cache.known(i, j)
     sure = _borne_out(look, (i, j))
     patch = _patches(line, i[sure], j[sure])
-    large = np.bincount(patch) >= tuning.patch
+    large = np.bincount(patch) >= tuning.retrieval.patch
     if look.level is not None:
         large &= seen_by_the_rig(look, (i[sure], j[sure]), patch)
     sure[sure] = large[patch]
@@ -100,7 +101,7 @@ class Timeline:
         return np.where(there >= 0, self.image_at[there, self.sensor[images]], -1)
 
 
-def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: LoopSearchTuning) -> Timeline:
+def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: Tuning) -> Timeline:
     """The passes in a row, sampled according to the similarity of their images."""
     sensors = max(len(p.images) for p in passes)
     length = np.array([len(p) for p in passes])
@@ -128,7 +129,7 @@ def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: LoopSearchTunin
     )
 
 
-def _reach(p: Pass, words: BagsOfWords, tuning: LoopSearchTuning) -> int:
+def _reach(p: Pass, words: BagsOfWords, tuning: Tuning) -> int:
     """Frames over which the images of a camera look alike."""
     steps = [s for s in tuning.ladder if s < len(p)]
     alike = []
@@ -157,7 +158,7 @@ class Look:
     @property
     def sure(self) -> float:
         """Matches from which a single preview ties."""
-        return self.context.tuning.retrieval.sure_alike * self.context.settings.min_matches
+        return self.context.tuning.counts.sure * self.context.settings.min_matches
 
 
 def _blocked(line: Timeline, known: Pairs | None) -> np.ndarray:
@@ -195,7 +196,7 @@ def _numbers(i: np.ndarray, j: np.ndarray, images: int) -> np.ndarray:
 def _grown(look: Look, key: np.ndarray, blocked: np.ndarray) -> tuple[Ends, bool]:
     """Previewed pairs: those numbered ``key`` and the neighbours of every tie; whether the budget ended it."""
     line, images = look.line, len(look.line.place)
-    budget = look.context.tuning.retrieval.loops.previews_an_image * len(line.sampled())
+    budget = look.context.tuning.previews_an_image * len(line.sampled())
     done = np.zeros(0, np.int64)
     while len(key):
         if len(done) + len(key) > budget and len(done):
@@ -301,16 +302,15 @@ def _notes(line: Timeline, passes: Sequence[Pass], i: np.ndarray, j: np.ndarray,
 def unrelated(context: Context, line: Timeline, blocked: np.ndarray) -> NoiseFloor | None:
     """The noise floor of previews of unrelated places; None in a short survey, where it is unknown. ``blocked`` (C,
     C): cells that are near each other, or known to tie."""
-    offsets = context.tuning.offsets
-    if len(line.of_pass) < offsets.long_frames:
+    if len(line.of_pass) < context.tuning.offsets.long_frames:
         return None
     rng = np.random.default_rng(0)
     c, d = np.triu_indices(line.image_at.shape[1])
-    c, d = np.repeat(c, context.tuning.sample), np.repeat(d, context.tuning.sample)
+    c, d = (np.repeat(ends, context.tuning.verdict.sample) for ends in (c, d))
     a, b = rng.integers(0, len(line.of_pass), (2, len(c)))
     left, right = line.image_at[a, c], line.image_at[b, d]
     fine = (left >= 0) & (right >= 0) & ~blocked[line.cell[a], line.cell[b]]
-    if fine.sum() < offsets.floor_previews:
+    if fine.sum() < ENOUGH:
         return None
     c, d, count = c[fine], d[fine], context.cache.measure(left[fine], right[fine])
     shape = (line.image_at.shape[1],) * 2
@@ -323,13 +323,13 @@ def seen_by_the_rig(look: Look, ends: Ends, patch: np.ndarray) -> np.ndarray:
 
     The largest ones are tested; the others are rejected.
     """
-    tuning = look.context.tuning.retrieval.loops
+    least = look.context.tuning.counts.tie_share
     size = np.bincount(patch)
     most = max(1, len(look.line.of_pass) // 16)
     out = np.zeros(len(size), bool)
     for k in np.argsort(-size, kind="stable")[:most]:
         places = _frame_pairs(look.line, ends[0][patch == k], ends[1][patch == k], 12)
-        out[k] = _share_speaking(look, places, tuning.speaks) >= tuning.most_cameras
+        out[k] = _share_speaking(look, places, least) > 0.5  # simulated: false loops 0.17 to 0.5, true ones 0.83 to 1
     return out
 
 

@@ -19,7 +19,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.axes import allowed_within, predicted_shift
 from tiegraph.network.passes import Context, Pass
 from tiegraph.network.synchronisation import frame_notes, lag_notes
-from tiegraph.network.tuning import CheckTuning
+from tiegraph.network.tuning import VerdictTuning
 from tiegraph.scene.evidence import mostly_more
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -35,7 +35,7 @@ class Order:
     nominal_fit: float
 
 
-def orders(rig: Rig, evidence: np.ndarray, tuning: CheckTuning) -> list[Order]:
+def orders(rig: Rig, evidence: np.ndarray, tuning: VerdictTuning) -> list[Order]:
     """Orders of the side cameras that explain evidence (2, S, S), one for each half of the frames, better than the
     rig does.
 
@@ -51,10 +51,10 @@ def orders(rig: Rig, evidence: np.ndarray, tuning: CheckTuning) -> list[Order]:
     tried = np.array(list(permutations(range(len(side))))) if len(side) <= 7 else _by_swaps(whole, cosine)
     fit = _fits(whole, cosine, tried)
     nominal = fit[0]
-    if fit.max() < tuning.order_fit or fit.max() < nominal + tuning.order_better:
+    if fit.max() < max(tuning.agreement, nominal + tuning.better):
         return []
     halves = [_fits(e, cosine, tried) for e in parts]
-    good = (fit >= fit.max() - tuning.order_alike) & np.all([h >= h[0] + 0.15 for h in halves], axis=0)
+    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + tuning.better / 2 for h in halves], axis=0)
     moved = np.sum(tried != np.arange(len(side)), axis=1)
     best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")]
     place = np.tile(np.arange(len(rig.sensors)), (len(best), 1))
@@ -162,10 +162,10 @@ def check_rigs(context: Context) -> tuple[Scene, tuple[str, ...]]:
     Notes also name cameras with fewer frames than others and cameras that seem to run late.
     """
     scene, tuning = context.scene, context.tuning.rig
-    if not tuning.check.frames:
+    if not tuning.frames:
         return scene, ()
     rigs, poses = list(scene.rigs), scene.world_from_rig
-    notes = list(frame_notes(context.passes, scene.names, tuning.synchronisation))
+    notes = list(frame_notes(context.passes, scene.names, tuning))
     for k, rig in enumerate(scene.rigs):
         if len(rig.sensors) < 2 or not rig.known():
             continue
@@ -185,25 +185,25 @@ def check_rigs(context: Context) -> tuple[Scene, tuple[str, ...]]:
 
 def check_rig(context: Context, rig: Rig, passes: Sequence[Pass]) -> RigCheck:
     """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
-    check, limit_deg = context.tuning.rig.check, context.settings.axes_deg
+    check, limit_deg = context.tuning.verdict, context.settings.axes_deg
     everything = _collect(context, rig, passes)
     found = orders(rig, everything.evidence, check)
     if found:
-        return _out_of_order(rig, found, everything, limit_deg, check.tie)
+        return _out_of_order(rig, found, everything, limit_deg, check.alike)
     votes = _facing(everything, rig, limit_deg)
-    if len(votes.a) < check.min_votes:
+    if len(votes.a) < check.votes:
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
-        return RigCheck(rig, f"{text} ({len(votes.a)} of {check.min_votes} pairs of one frame)")
+        return RigCheck(rig, f"{text} ({len(votes.a)} of {check.votes} pairs of one frame)")
     variants = _hypotheses(rig)
     score = {name: _agreement(variant, votes) for name, variant in variants.items()}
     # The first of equally good explanations: side cameras of a ring cannot separate "mirrored" from "upside down".
-    best = next(name for name, s in score.items() if s >= max(score.values()) - check.tie)
+    best = next(name for name, s in score.items() if s >= max(score.values()) - check.alike)
     angles = _angles(rig, votes)
     if score["nominal"] >= check.agreement or best == "nominal":
         how = "agree with" if score["nominal"] >= check.agreement else "neither prove nor contradict"
         return RigCheck(rig, f"rig {rig.name}: the images {how} its sense of rotation{angles}")
     gain = _cosines(variants[best], votes) - _cosines(rig, votes)
-    sure = score[best] >= max(check.agreement, score["nominal"] + check.margin)
+    sure = score[best] >= max(check.agreement, score["nominal"] + check.better)
     if not sure or not mostly_more(gain[np.isfinite(gain)], len(variants) - 1):
         return RigCheck(rig, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
     if rig.fixed:
@@ -214,11 +214,11 @@ def check_rig(context: Context, rig: Rig, passes: Sequence[Pass]) -> RigCheck:
     return RigCheck(variants[best], f"rig {rig.name}: the images show it {best}: it was corrected{angles}")
 
 
-def _out_of_order(rig: Rig, found: Sequence[Order], votes: _Votes, limit_deg: float, tie: float) -> RigCheck:
+def _out_of_order(rig: Rig, found: Sequence[Order], votes: _Votes, limit_deg: float, alike: float) -> RigCheck:
     """Of orders with the same neighbours the first that has the sense of rotation of the images."""
     tried = [reordered(rig, order.place)[0] for order in found]
     score = [_agreement(r, _facing(votes, r, limit_deg)) for r in tried]
-    order = found[next(k for k, s in enumerate(score) if s >= max(score) - tie)]
+    order = found[next(k for k, s in enumerate(score) if s >= max(score) - alike)]
     text = f"rig {rig.name}: {in_words(rig, order, votes.evidence)}"
     if rig.fixed:
         return RigCheck(rig, f"{text}: it is calibrated and was not changed; check the rig file", ordered=False)
@@ -243,9 +243,9 @@ def _hypotheses(rig: Rig) -> dict[str, Rig]:
 
 def _collect(context: Context, rig: Rig, passes: Sequence[Pass]) -> _Votes:
     """Previews of every two cameras in sampled frames; if hardly any match, also from a frame to the next one."""
-    cache, least, check = context.cache, context.settings.min_matches, context.tuning.rig.check
+    cache, least, frames = context.cache, context.settings.min_matches, context.tuning.rig.frames
     camera_pairs = np.stack(np.triu_indices(len(rig.sensors), 1), axis=1)
-    rows = _sampled(passes, camera_pairs, 0, check)
+    rows = _sampled(passes, camera_pairs, 0, frames)
     results = cache.results(rows[2], rows[3]) if rows.size else []
     a, b, _, _, half = rows
     inliers = np.array([r.inliers for r in results], float)
@@ -254,9 +254,9 @@ def _collect(context: Context, rig: Rig, passes: Sequence[Pass]) -> _Votes:
     turns = [results[k].rotation for k in enough]
     angle = [np.nan if r is None else np.degrees(np.arccos(np.clip(r[2, 2], -1, 1))) for r in turns]  # of the axes
     shift = np.array([results[k].shift for k in enough]).reshape(-1, 2)
-    if sure.sum() < check.min_votes:
+    if sure.sum() < context.tuning.verdict.votes:
         both = np.concatenate([camera_pairs, camera_pairs[:, ::-1]])
-        following = _sampled(passes, both, 1, check)
+        following = _sampled(passes, both, 1, frames)
         inliers = np.append(inliers, cache.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
     first, second, half, sensors = rows[0], rows[1], rows[4], len(rig.sensors)
@@ -274,9 +274,8 @@ def _facing(votes: _Votes, rig: Rig, limit_deg: float) -> _Votes:
     return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])
 
 
-def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
+def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, frames: int) -> np.ndarray:
     """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and the half of the frames (0, 1)."""
-    frames = int(np.clip(tuning.samples // max(1, len(camera_pairs)), tuning.least_frames, tuning.frames))
     some = [passes[k] for k in evenly(len(passes), frames)]
     each = max(1, frames // max(1, len(some)))
     out = [np.zeros((5, 0), int)]

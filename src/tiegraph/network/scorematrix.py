@@ -18,7 +18,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter, gaussian_filter1d, label, maximum, maximum_filter1d
 
 from tiegraph.network.passes import MatchCache, Pass
-from tiegraph.network.tuning import CountsTuning, OffsetsTuning, Tuning
+from tiegraph.network.tuning import CountsTuning, Tuning
+from tiegraph.scene.evidence import ENOUGH
 
 Nodes = tuple[np.ndarray, ...]
 """Cameras of both passes, rows and columns of some nodes of a lattice, (K,) each."""
@@ -106,8 +107,7 @@ class ScoreMatrix:
         """Update ``smoothed`` in place for nodes of rows (A,) bool: returns (A,) bool, the rows that may differ. A
         lattice grows at few fronts: smoothing all of it at each step took time with the square of a pass."""
         low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
-        sigma, cut = tuning.counts.sigma_nodes, tuning.offsets.kernel_cut_sigmas
-        radius = kernel_reach(tuning)
+        sigma, radius = tuning.counts.sigma_nodes, kernel_reach(tuning)
         touched = _widened(rows, radius)
         for c, d in np.ndindex(self.inliers.shape[:2]):
             for own, box in _boxes(touched, radius):
@@ -121,7 +121,7 @@ class ScoreMatrix:
                     continue
                 seen = known[:, wide]
                 excess = np.where(seen, np.clip(inliers[:, wide], low, high) - low, 0)
-                mean = _blurred(excess, sigma, cut) / np.maximum(_blurred(seen, sigma, cut), 1e-6)
+                mean = _blurred(excess, sigma, radius) / np.maximum(_blurred(seen, sigma, radius), 1e-6)
                 mean = low + mean
                 if self.noise_floor is not None:
                     mean = self.noise_floor.above(mean, (c, d))
@@ -159,10 +159,10 @@ class ScoreMatrix:
         return c, d, a, b
 
     def confirmed(self, smooth: np.ndarray, min_matches: float, tuning: Tuning) -> np.ndarray:
-        """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach ``peak`` times it lowered
+        """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach ``sure`` times it lowered
         to chance (hysteresis, as in Canny 1986): an isolated patch of low counts is noise."""
         out = smooth.copy()
-        least, chance = tuning.offsets.peak * min_matches, tuning.counts.floor * min_matches
+        least, chance = tuning.counts.sure * min_matches, tuning.counts.floor * min_matches
         for c, d in np.argwhere(self.allowed):
             patches, count = label(np.nan_to_num(smooth[c, d]) >= min_matches, structure=np.ones((3, 3)))
             if count:
@@ -197,17 +197,17 @@ class ScoreMatrix:
 
 
 def score_matrix(
-    p: Pass, q: Pass, stride: int, allowed: np.ndarray, tuning: OffsetsTuning, noise_floor: NoiseFloor | None = None
+    p: Pass, q: Pass, stride: int, allowed: np.ndarray, noise_floor: NoiseFloor | None = None
 ) -> ScoreMatrix:
     """An empty score matrix with every ``stride``-th frame and the last one."""
-    rows, columns = _every(len(p), stride, tuning.short_nodes), _every(len(q), stride, tuning.short_nodes)
+    rows, columns = _every(len(p), stride), _every(len(q), stride)
     inliers = np.full((len(p.images), len(q.images), len(rows), len(columns)), np.nan, np.float32)
     return ScoreMatrix(p=p, q=q, rows=rows, columns=columns, allowed=allowed, inliers=inliers, noise_floor=noise_floor)
 
 
 def kernel_reach(tuning: Tuning) -> int:
-    """Nodes to which the kernel of the smoothing reaches."""
-    return int(tuning.offsets.kernel_cut_sigmas * tuning.counts.sigma_nodes + 0.5)
+    """Nodes to which the kernel of the smoothing reaches: three sigmas."""
+    return int(3 * tuning.counts.sigma_nodes + 0.5)
 
 
 def _boxes(rows: np.ndarray, radius: int) -> Iterator[tuple[slice, slice]]:
@@ -230,9 +230,9 @@ def _widened(rows: np.ndarray, radius: int) -> np.ndarray:
     return np.asarray(maximum_filter1d(rows, 2 * radius + 1, mode="constant"))
 
 
-def _blurred(grid: np.ndarray, sigma: float, cut: float) -> np.ndarray:
-    """(A, B) f4 Gaussian, cut after this many sigmas, zero outside."""
-    return gaussian_filter(grid.astype(np.float32), sigma, mode="constant", truncate=cut)
+def _blurred(grid: np.ndarray, sigma: float, radius: int) -> np.ndarray:
+    """(A, B) f4 Gaussian as far as this many nodes, zero outside."""
+    return gaussian_filter(grid.astype(np.float32), sigma, mode="constant", radius=radius)
 
 
 def _bilinear(
@@ -244,11 +244,11 @@ def _bilinear(
     return rows[:, column] * (1 - column_share) + rows[:, right] * column_share
 
 
-def _every(n: int, stride: int, short: int) -> np.ndarray:
+def _every(n: int, stride: int) -> np.ndarray:
     """Every ``stride``-th of n and the last one, which replaces one less than half a stride before it: on a pass of
-    few nodes (``short``) two adjacent columns cost a third of the lattice and add no information."""
+    few nodes two adjacent columns cost a third of the lattice and add no information."""
     places = np.arange(0, n, stride)
-    if 2 < len(places) <= short and 2 * (n - 1 - places[-1]) <= stride:
+    if 2 < len(places) <= ENOUGH and 2 * (n - 1 - places[-1]) <= stride:
         places = places[:-1]
     return np.unique(np.r_[places, n - 1])
 
@@ -276,10 +276,10 @@ def noise_floor(
     value, key = np.clip(count, low, high), cameras[0] * shape[1] + cameras[1]
     number = np.bincount(key, minlength=shape[0] * shape[1])
     mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
-    mean = np.where(number >= tuning.offsets.floor_previews, mean, value.mean()).reshape(shape)
+    mean = np.where(number >= ENOUGH, mean, value.mean()).reshape(shape)
     most = max(high, float(np.quantile(count, 0.99)))
-    # Kept below the highest: for cameras whose far frames all reach that, it is unknown.
-    mean = np.clip(mean, low, low + tuning.offsets.most_level * (high - low))
+    # As far below the highest as a tie is above chance: for cameras whose far frames all reach that, it is unknown.
+    mean = np.clip(mean, low, high - (min_matches - low))
     return NoiseFloor(mean=mean, most=most, lowest=low, highest=high)
 
 
@@ -292,7 +292,7 @@ def noise_floor_within(
         return None
     rng = np.random.default_rng(len(p))
     # At this distance frames share nothing, even if the end of a pass is its beginning
-    (least, most), samples = (0.4, 0.6), tuning.sample
+    (least, most), samples = (0.4, 0.6), tuning.verdict.sample
     apart = rng.integers(int(least * len(p)), int(most * len(p)) + 1, samples)
     a = rng.integers(0, len(p) - apart)
     b = a + apart
@@ -335,7 +335,7 @@ def corridor(scores: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning)
     total, number = (gaussian_filter1d(x, tuning.counts.sigma_nodes, axis=2, mode="constant") for x in (total, number))
     level = floor.mean[..., None]
     share = np.where(number > 0, (total / np.maximum(number, 1e-9) - level) / (floor.highest - level), -1.0)
-    ties = share >= tuning.offsets.band
+    ties = share >= tuning.counts.tie_share
     peak = np.argmax(share, axis=2)
     ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]
     # For each pair of cameras, the run of distances that contains the best one.

@@ -14,6 +14,7 @@ import numpy as np
 
 from tiegraph.network.passes import Pass
 from tiegraph.network.tuning import SectionsTuning
+from tiegraph.scene.evidence import ENOUGH
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -102,10 +103,10 @@ def _cue(
         contrast = -1.0 if split is None else split.high - split.low
         return split is not None and split.separation >= tuning.min_separation and contrast >= needed
 
-    splits = [_split(scaled[p.frames], tuning.min_frames) for p in passes]
+    splits = [_split(scaled[p.frames]) for p in passes]
     good = sorted((s for s in splits if s is not None and clear(s)), key=lambda s: s.threshold)
     on_passes = np.concatenate([p.frames for p in passes]) if passes else np.zeros(0, int)
-    whole = _split(scaled[on_passes], tuning.min_frames)
+    whole = _split(scaled[on_passes])
     if not good and absolute and whole is not None and clear(whole):
         good = [whole]
     threshold, evidence = np.full(len(values), np.nan), np.zeros(len(values))
@@ -134,10 +135,10 @@ def _cue(
     return Cue(name=name, unit=unit, values=values, threshold=threshold, evidence=evidence, figure=figure)
 
 
-def _split(values: np.ndarray, least: int) -> "Otsu | None":
-    """The split of the known values, of at least this many frames; a class of one frame separates nothing."""
+def _split(values: np.ndarray) -> "Otsu | None":
+    """The split of the known values, None of too few; a class of one frame separates nothing."""
     known = values[np.isfinite(values)]
-    if len(known) < least:
+    if len(known) < ENOUGH:
         return None
     split = otsu(known)
     below = int(np.sum(known < split.threshold))

@@ -12,14 +12,14 @@ import numpy as np
 
 from tiegraph.network.axes import predicted_shift
 from tiegraph.network.passes import Context, Pass
-from tiegraph.network.tuning import SynchronisationTuning
+from tiegraph.network.tuning import RigTuning, Tuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.sorting import evenly
 
 NAMED = 8  # passes listed singly
 
 
-def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: SynchronisationTuning) -> tuple[str, ...]:
+def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: RigTuning) -> tuple[str, ...]:
     """One note for each pass whose cameras have different frames: how many each has, and where they are missing; and
     one on passes that are much shorter than the others, because later steps do not notice a pass that ended early."""
     out = [text for p in passes if (text := _lacking(p, names))]
@@ -103,7 +103,7 @@ def lag_notes(context: Context, passes: Sequence[Pass]) -> list[str]:
 
     In most surveys only the same frames are previewed; other offsets if those look odd, and for a stereo rig.
     """
-    sync = context.tuning.rig.synchronisation
+    tuning = context.tuning
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for p in (passes[k] for k in evenly(len(passes), 4)):
         camera_pairs = _neighbours(p.rig)
@@ -111,10 +111,10 @@ def lag_notes(context: Context, passes: Sequence[Pass]) -> list[str]:
         if not len(camera_pairs) or longest < 1 or p.rig.stitched():
             continue
         several = len(camera_pairs) > 1  # parallel axes of a stereo rig have no wrong shift to show
-        if several and not _odd(_measured(context, p, camera_pairs, 0), p, sync):
+        if several and not _odd(_measured(context, p, camera_pairs, 0), p, tuning):
             continue
         steps = _measured(context, p, camera_pairs, longest)
-        lags = _lags(steps, len(p.rig.sensors), sync)
+        lags = _lags(steps, len(p.rig.sensors), tuning)
         for c in np.flatnonzero(lags):
             found.setdefault((int(c), int(lags[c])), []).append((p.name, _figures(p.rig, steps, int(c), lags)))
     return [_late(passes[0].rig, camera, lag, seen) for (camera, lag), seen in found.items()]
@@ -166,17 +166,16 @@ def _measured(context: Context, p: Pass, camera_pairs: np.ndarray, longest: int)
     )
 
 
-def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
+def _odd(now: _Steps, p: Pass, tuning: Tuning) -> bool:
     """Whether the same frames give reason to preview others: counts, shifts, a camera that ties to none."""
     counts = {int(n) for s, n in zip(p.rig.sensors, (p.images >= 0).sum(axis=1)) if s.role != "up"}
-    evidence = now.evidence[:, 0]
-    faint = evidence < max(tuning.faint * float(np.median(evidence)), tuning.least)
+    faint = now.evidence[:, 0] < tuning.counts.sure - 1
     alone = [faint[(now.pairs == c).any(axis=1)].all() for c in np.unique(now.pairs)]
-    off = now.off(np.ones(len(evidence), bool))[:, 0] > tuning.off
+    off = now.off(np.ones(len(faint), bool))[:, 0] > tuning.rig.off
     return bool(len(counts) > 1 or off.any() or any(alone))
 
 
-def _lags(steps: _Steps, sensors: int, tuning: SynchronisationTuning) -> np.ndarray:
+def _lags(steps: _Steps, sensors: int, tuning: Tuning) -> np.ndarray:
     """(S,) frames by which each camera is late; 0 unless evidence and shifts both show it. Greedy, one by one."""
     lags = np.zeros(sensors, int)
     for _ in range(sensors // 2):  # the time of most cameras is the rig's
@@ -192,7 +191,7 @@ def _lags(steps: _Steps, sensors: int, tuning: SynchronisationTuning) -> np.ndar
     return lags
 
 
-def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: SynchronisationTuning) -> float:
+def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: Tuning) -> float:
     """Evidence gained by moving one camera to a lag; 0 unless all of its pairs agree."""
     moved = lags.copy()
     moved[sensor] = lag
@@ -201,18 +200,19 @@ def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: Synchr
         return 0.0
     rows = np.arange(len(before))
     own = (steps.pairs == sensor).any(axis=1)
-    votes = own & (steps.evidence.max(axis=1) >= tuning.least)
+    least = tuning.counts.sure - 1  # of the evidence: one preview that ties
+    votes = own & (steps.evidence.max(axis=1) >= least)
     if not votes.any():
         return 0.0
-    scale = np.maximum(steps.evidence.max(axis=1), tuning.least)
+    scale = np.maximum(steps.evidence.max(axis=1), least)
     old, new = steps.evidence[rows, before] / scale, steps.evidence[rows, after] / scale
     weaker = np.any(new[votes] < 0.9 * old[votes])
-    if weaker or new[votes].sum() < tuning.gain * old[votes].sum():
+    if weaker or new[votes].sum() < tuning.rig.gain * old[votes].sum():
         return 0.0
     residual = steps.off(~own)
     old_off, new_off = residual[rows, before][votes], residual[rows, after][votes]
     known = np.isfinite(new_off)
-    if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > tuning.off)):
+    if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > tuning.rig.off)):
         return 0.0
     if np.any(known & (new_off > old_off + 0.01)):
         return 0.0

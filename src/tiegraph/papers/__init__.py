@@ -48,7 +48,7 @@ def colmap_alone(upright: bool = False) -> dict[str, dict[str, Any]]:
         "refine": {"geometry": "off"},
         "tuning": {
             # The rig is believed as it is given.
-            "network": {"rig": {"check": {"frames": 0}}},
+            "network": {"rig": {"frames": 0}},
             "sfm": {
                 # The models are COLMAP's, as its mapper leaves them.
                 "mapping": {"min_model_images": 10},

@@ -6,7 +6,7 @@ Masks (section b): what differs little between two images of a camera is the pla
 way out and the way back, one frame offset is voted on sampled frames, and the best matching image around it is listed.
 Mapping (section d): COLMAP, by the masks and the list, with nothing known of the rig. Its baseline (section a) and that
 of paper 001 (section c) is brute force without masks. The constants that the paper does not print are
-``masks.tuning.PapersTuning`` and ``network.tuning.ConstantTuning``.
+``masks.tuning.PapersTuning`` and ``network.tuning``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,6 +31,7 @@ from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.papers import colmap_alone
+from tiegraph.scene.evidence import FEW
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.sorting import among_best, evenly
 
@@ -110,9 +111,9 @@ def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSe
 def _vote_constant(
     p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[ScoreMatrix, tuple[str, ...]]:
-    every = max(1, -(-len(q) // tuning.offsets.constant.max_columns))
+    every = max(1, -(-len(q) // tuning.offsets.max_columns))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
-    empty = score_matrix(p, q, every, allowed, tuning.offsets)
+    empty = score_matrix(p, q, every, allowed)
     rows = evenly(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
     scores = replace(empty, rows=rows, inliers=np.full(shape, np.nan, np.float32))
@@ -120,10 +121,10 @@ def _vote_constant(
     wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
     notes: tuple[str, ...] = ()
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
-        few = np.isin(np.arange(len(rows)), evenly(len(rows), tuning.offsets.constant.heading_frames))[:, None]
+        few = np.isin(np.arange(len(rows)), evenly(len(rows), FEW))[:, None]
         scores = _measured_oblong(scores, wanted & few, cache)
         excess = axes.above(scores.inliers, settings.min_matches)
-        allowed = facing(scores, excess, settings, tuning.rig)
+        allowed = facing(scores, excess, settings)
         said = axes.in_words(scores, excess, tuning.rig)
         notes = (said,) if said else ()
         scores = replace(scores, allowed=allowed)
@@ -171,7 +172,7 @@ def _supported(
     near = (np.abs((n + m if backwards else n - m) - best) <= step) & np.isfinite(inliers)
     count = np.clip(inliers[near], tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches)
     frames = int(near.any(axis=1).sum())
-    return frames >= tuning.offsets.constant.least_frames and float(count.mean()) >= min_matches
+    return frames >= FEW and float(count.mean()) >= min_matches
 
 
 def _around(

@@ -51,7 +51,7 @@ STAGES = (
            tuned=("scene", "odometry")),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=15),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
-    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=9,
+    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=10,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=12,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),

@@ -106,7 +106,7 @@ def surface_seen(run: Run, found: Coarse, ties: PreviewMatches) -> Visibility:
     if in_one_piece(found.scene, tuning.scene.blocks):
         kept, names = found.pairs.kept(), found.scene.names
         believed = np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j))
-        tracks = tuning.network.coarse.tracks
+        tracks = tuning.network.coarse.course
         model = with_surface(model, ties.where(believed), lambda k: read_preview(run.folder, names[k]).xy, tracks)
     return model.visibility(tuning.network.coarse)
 
@@ -122,7 +122,7 @@ def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache
         course = tuning.coarse.course
         return explained(model, (i, j), cache.matches_of, lambda k: read_preview(run.folder, scene.names[k]).xy, course)
 
-    search, mapper = Search(candidates, cache, settings, tuning.coarse, explains), _Mapper(run, scene)
+    search, mapper = Search(candidates, cache, settings, tuning, explains), _Mapper(run, scene)
     while (wanted := search.wanted()) is not None:
         search.take(wanted, mapper.mapped(wanted))
     return search.result()

@@ -37,7 +37,6 @@ from tiegraph.watch.onsite import LEAST_POINTS, path_and_ties, plan_from_world, 
 
 _INLIER_SMALL_PX = 3.0  # distance of an inlier in pixels of the reduced image
 _LOOK_ALIKES = 4  # of an image, matched before a model: what order does not tell of, loops and loose photographs
-_WORDS = {"training": 30_000, "vocabularies": 1}  # a second, not six, at 200 images; finds 0.01 to 0.02 less
 
 
 def make_preview(scene: Scene, image: int, source: Path, folder: Path, settings: Settings) -> None:
@@ -129,7 +128,7 @@ def make_model(folder: Path, settings: Settings, scene: Scene, ties: PreviewMatc
     model = coarse_model(run, scene, used) if len(used) else None
     if model is None:
         return Modelled(ties)
-    model = with_surface(model, used, lambda k: read_preview(run.folder, scene.names[k]).xy, network.coarse.tracks)
+    model = with_surface(model, used, lambda k: read_preview(run.folder, scene.names[k]).xy, network.coarse.course)
     focal = np.array([camera.mean_focal_length() for camera in model.cameras])
     surface = surface_map(model.visibility(network.coarse), focal, settings.tuning.design.surface)
     places = weak_places(surface)
@@ -138,9 +137,8 @@ def make_model(folder: Path, settings: Settings, scene: Scene, ties: PreviewMatc
 
 def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches) -> PreviewMatches:
     """The ties, and the matches of the most similar images that were not matched yet."""
-    words = run.settings.tuning.network.retrieval.vocabulary.model_copy(update=_WORDS)
     descriptors = [read_preview(run.folder, name).descriptors for name in scene.names]
-    other, _ = nearest_images(descriptors, _LOOK_ALIKES, words)
+    other, _ = nearest_images(descriptors, _LOOK_ALIKES, training=30_000)  # a second, not three, at 200 images
     one = np.repeat(np.arange(len(scene)), other.shape[1])[other.ravel() >= 0]
     two = other.ravel()[other.ravel() >= 0]
     pairs = np.unique(np.sort(np.column_stack([one, two]), axis=1), axis=0)

@@ -25,7 +25,10 @@ from tiegraph.geometry.transforms import MAD
 # The limit of a contradiction, everywhere: by the probability, for each test, that agreement is called one.
 CHANCE = 0.001
 LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
-_MIN_ROWS, _SIDE = 8, 3  # values that distinguish a trend from noise, and on either side of a step, at least
+ENOUGH, FEW = (
+    8,
+    3,
+)  # values that tell a trend or a verdict from noise; those on either side of a step, or for a majority
 RARELY = f"which chance does once in {1 / CHANCE:.0f} surveys at most"  # follows the result of a test below
 
 
@@ -135,19 +138,19 @@ def trend(values: np.ndarray, tests: int = 1, offset: bool = False, sigma: np.nd
     y = np.asarray(values, float)
     x, sigma = np.linspace(-1.0, 1.0, len(y)), np.broadcast_to(np.asarray(sigma, float), y.shape)
     keep = np.flatnonzero(np.isfinite(y))
-    if len(keep) >= _MIN_ROWS:  # without values far from the middle between their neighbours
+    if len(keep) >= ENOUGH:  # without values far from the middle between their neighbours
         told = (y / sigma)[keep]
         off = np.abs(told[1:-1] - 0.5 * (told[:-2] + told[2:]))
         keep = keep[np.r_[True, off <= 6 * MAD * float(np.median(off)) + 1e-12, True]]
     x, y, sigma = x[keep], y[keep], sigma[keep]
-    if len(y) < _MIN_ROWS or np.ptp(y) == 0:
+    if len(y) < ENOUGH or np.ptp(y) == 0:
         return None
     one = np.ones(len(y))
     shapes = [("line", x[:, None]), ("curve", np.stack([x, x**2], axis=1))]
     shapes += [("step", _best_step(y, beside, sigma)) for beside in (one[:, None], np.stack([one, x], axis=1))]
     if offset:
         shapes.append(("offset", np.zeros((len(y), 0))))
-    places = len(y) - 2 * _SIDE + 1  # of a step
+    places = len(y) - 2 * FEW + 1  # of a step
     tries = {"step": tests * len(shapes) * places}
     found = [_tested(y, sigma, n, s, tries.get(n, tests * len(shapes))) for n, s in shapes]
     best = min(found, key=lambda t: t.chance)
@@ -157,7 +160,7 @@ def trend(values: np.ndarray, tests: int = 1, offset: bool = False, sigma: np.nd
 def _best_step(y: np.ndarray, beside: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """The step that divides values (K,) best beside a form (K, P) that begins with a constant, which is omitted: (K, P)
     with the step as its last column."""
-    cuts = np.arange(_SIDE, len(y) - _SIDE + 1)
+    cuts = np.arange(FEW, len(y) - FEW + 1)
     steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
     y, told = y / sigma, steps / sigma[:, None]
     base = np.linalg.qr(beside / sigma[:, None])[0]

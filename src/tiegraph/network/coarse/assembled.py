@@ -64,7 +64,7 @@ def assembled(
     return Assembled(
         models=tuple(m for m in found if m.placed().any()),
         notes=_notes(scene, blocks, made, joined),
-        suspects=false_ties(scene, made, poses, joined.joins, tuning.trust.near_steps, joining),
+        suspects=false_ties(scene, made, poses, joined.joins, tuning.near_steps, joining),
     )
 
 

@@ -15,7 +15,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, observed_proxy
 from tiegraph.network.coarse.visible import Overlap, shared_surface, visible_points
-from tiegraph.network.tuning import CoarseTuning, CourseTuning, TracksTuning
+from tiegraph.network.tuning import CoarseTuning, CourseTuning
 from tiegraph.scene.pairs import PreviewMatches, Visibility
 from tiegraph.scene.rig import (
     Rig,
@@ -104,13 +104,12 @@ class CoarseModel:
 
 
 def with_surface(
-    model: CoarseModel, ties: PreviewMatches, features: Callable[[int], np.ndarray], tuning: TracksTuning
+    model: CoarseModel, ties: PreviewMatches, features: Callable[[int], np.ndarray], tuning: CourseTuning
 ) -> CoarseModel:
     """The model with the points of all tracks that ``ties`` form between its images.
 
     ``features``: pixels (K, 2) of an image's preview. The worst rays of a point are left out one after another, at
-    most three, while they miss it by more than ``off_deg``; the point needs ``images`` other rays, two of them
-    ``angle_deg`` apart.
+    most three, while they miss it by more than ``tolerance_deg``; the point needs two other rays that far apart.
     """
     placed = model.placed()
     track, image, feature = ties.where(placed[ties.i] & placed[ties.j]).observations()
@@ -127,14 +126,14 @@ def with_surface(
     for _ in range(4):  # a point with more than three wrong rays is dropped
         off, most = np.where(use, off, 0.0), np.zeros(int(track.max(initial=-1)) + 1)
         np.maximum.at(most, track, off)
-        use &= (off <= tuning.off_deg) | (off < most[track])  # not the worst of a track
-        use &= _held(track, towards, use, tuning)[track]
+        use &= (off <= tuning.tolerance_deg) | (off < most[track])  # not the worst of a track
+        use &= _held(track, towards, use, tuning.tolerance_deg)[track]
         points = _nearest(track, centre, np.where(use[:, None], towards, np.nan))
         # (K,) angle between the direction to a point and a ray
         way = points[track] - centre
         along = np.einsum("kc,kc->k", way, towards) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
         off = np.degrees(np.arccos(np.clip(along, -1, 1)))
-    use &= ~np.isin(track, track[use & (off > tuning.off_deg)])
+    use &= ~np.isin(track, track[use & (off > tuning.tolerance_deg)])
     kept, point = np.unique(track[use], return_inverse=True)
     return replace(model, points=points[kept], image=image[use], point=point)
 
@@ -156,8 +155,7 @@ def explained(
     known = np.isfinite(reach).all(axis=1)
     if not known.any():
         return out
-    nearest, farthest = reach[known].min(axis=0)[0], reach[known].max(axis=0)[1]
-    reach[~known] = nearest / tuning.any_distance, farthest * tuning.any_distance
+    reach[~known] = reach[known].min(axis=0)[0] / tuning.margin, reach[known].max(axis=0)[1] * tuning.margin
     for k in np.unique(np.concatenate(pairs)).tolist():
         rays[k] = rays_or_axis(model.cameras[k], features(k))
     for row, (i, j) in enumerate(zip(*(ends.tolist() for ends in pairs))):
@@ -181,8 +179,8 @@ def _one_way_deg(
     a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: np.ndarray, tuning: CourseTuning
 ) -> np.ndarray:
     near, far = reach[0] / tuning.margin, reach[1] * tuning.margin
-    distance = np.geomspace(near, far, tuning.steps)
-    course = distance[:, None, None] * (a @ b_from_a[:3, :3].T) + b_from_a[:3, 3]  # (steps, M, 3)
+    distance = np.geomspace(near, far, 24)  # straight lines between these
+    course = distance[:, None, None] * (a @ b_from_a[:3, :3].T) + b_from_a[:3, 3]  # (24, M, 3)
     course /= np.maximum(np.linalg.norm(course, axis=2, keepdims=True), 1e-12)
     along = np.diff(course, axis=0)
     share = np.sum((b - course[:-1]) * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-18)
@@ -202,16 +200,15 @@ def _nearest(track: np.ndarray, centre: np.ndarray, towards: np.ndarray) -> np.n
     return np.linalg.solve(normal + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
 
 
-def _held(track: np.ndarray, towards: np.ndarray, use: np.ndarray, tuning: TracksTuning) -> np.ndarray:
-    """(T,) bool: tracks with enough used rays, two of them far enough apart: one at half that angle from their mean."""
+def _held(track: np.ndarray, towards: np.ndarray, use: np.ndarray, angle_deg: float) -> np.ndarray:
+    """(T,) bool: tracks with two used rays this far apart: one at half that angle from their mean."""
     number = int(track.max(initial=-1)) + 1
-    count = np.bincount(track[use], minlength=number)
     mean = np.zeros((number, 3))
     np.add.at(mean, track[use], towards[use])
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     least = np.ones(number)
     np.minimum.at(least, track[use], np.einsum("kc,kc->k", towards[use], mean[track[use]]))
-    return (count >= tuning.images) & (least < np.cos(np.radians(tuning.angle_deg / 2)))
+    return least < np.cos(np.radians(angle_deg / 2))
 
 
 # ---------------------------------------------------------------- its calibration

@@ -26,7 +26,8 @@ from tiegraph.network.coarse.model import CoarseModel, calibrated_rigs, turned_d
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
-from tiegraph.network.tuning import CoarseTuning, TrustTuning
+from tiegraph.network.tuning import CoarseTuning, Tuning
+from tiegraph.scene.evidence import ENOUGH, FEW
 from tiegraph.scene.graph import cheapest_cut, parts, strongest_pairs
 from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches, pair_key
 from tiegraph.scene.scene import Scene
@@ -62,12 +63,13 @@ class Search:
         candidates: tuple[Pairs, Scene],
         cache: MatchCache,
         settings: tuple[CandidatesSettings, CoarseSettings],
-        tuning: CoarseTuning,
+        tuning: Tuning,
         explains: Explains,
     ) -> None:
         self._pairs, self._scene = candidates
-        self._cache, self._tuning, self._explains = cache, tuning, explains
+        self._cache, self._tuning, self._explains = cache, tuning.coarse, explains
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
+        self._sure = tuning.counts.sure * settings[0].min_matches  # matches
         self._left_out = np.zeros(0, np.int64)  # keys of pairs
         self._asked = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._tries: list[_Try] = []
@@ -84,7 +86,7 @@ class Search:
         self._asked = best.i, best.j
         self._cache.measure(best.i, best.j)
         ties = self._cache.matches()
-        key, enough = pair_key(ties.i, ties.j), ties.counts() >= self._tuning.tie_matches
+        key, enough = pair_key(ties.i, ties.j), ties.counts() >= self._sure
         return ties.where(np.isin(key, pair_key(best.i, best.j)) & ~np.isin(key, self._left_out) & enough)
 
     def take(self, ties: PreviewMatches, made: Assembled) -> None:
@@ -158,7 +160,7 @@ class Search:
                 right[own] = self._explains(one, i[own], j[own])
             return right
 
-        believed = trust(scene, self._cache, self._asked, explains, part, self._settings, self._tuning.trust)
+        believed = trust(scene, self._cache, self._asked, explains, part, self._sure, self._tuning)
         i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
         believed = replace(believed, suspects=(i, j))
         return _Try(
@@ -219,7 +221,7 @@ def _never_tied(pairs: Pairs, scene: Scene, cache: MatchCache, settings: Candida
     seen = np.isfinite(count) & (pairs.overlap >= settings.min_overlap)
     total = np.bincount(group[seen], minlength=sensors * sensors)
     hits = np.bincount(group[seen], count[seen] >= settings.min_matches, minlength=sensors * sensors)
-    never = (total >= 8) & (hits < 0.1 * total)  # chance ties one in ten
+    never = (total >= ENOUGH) & (hits < 0.1 * total)  # chance ties one in ten
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
 
 
@@ -266,8 +268,8 @@ def trust(
     asked: tuple[np.ndarray, np.ndarray],
     explains: Callable[[np.ndarray, np.ndarray], np.ndarray],
     part: np.ndarray,
-    settings: CandidatesSettings,
-    tuning: TrustTuning,
+    least: float,
+    tuning: CoarseTuning,
 ) -> Trust:
     """The trusted part of a model. ``part`` (N,): the component that contains an image, -1 = none. ``asked``: the
     best pairs i, j (K,) of the images, of which the model is made: they decide between two sections, because most of
@@ -281,24 +283,23 @@ def trust(
     fewer matches than those of one half to a wall similar to its own.
     """
     i, j, count = cache.pairs()
-    tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
+    tied = (count >= least) & (part[i] >= 0) & (part[j] >= 0)
     i, j, count = i[tied], j[tied], count[tied]
-    strong = count >= tuning.strong * settings.min_matches
-    sure = near_frames(scene, scene.frame[i], scene.frame[j], tuning.near_steps) & strong
-    best = strong & np.isin(pair_key(i, j), pair_key(*asked))
+    sure = near_frames(scene, scene.frame[i], scene.frame[j], tuning.near_steps)
+    best = np.isin(pair_key(i, j), pair_key(*asked))
     judged, right = sure | best, np.zeros(len(i), bool)
     right[judged] = explains(i[judged], j[judged])
-    stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
+    stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure]))
     n = int(stretch.max(initial=0)) + 1
     stretches = stretch[i] * n + stretch[j]
     total, good = (_between_stretches(stretches[best], c[best], n) for c in (count, count * right))
     near_total, near_good = (_between_stretches(stretches[sure], c[sure], n) for c in (count, count * right))
-    told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
-    torn = (near_total > 0) & (near_good < tuning.trusted * near_total) & ~np.eye(n, dtype=bool)
-    linked = np.where(told & (good >= tuning.linked * total), good, 0.0)
+    told = (total >= FEW * least) & ~np.eye(n, dtype=bool)
+    torn = (near_total > 0) & (2 * near_good < near_total) & ~np.eye(n, dtype=bool)
+    linked = np.where(told & (2 * good >= total), good, 0.0)
     held = _without_false(linked, torn)
-    suspect = (told & (good < tuning.suspect * total)) | (held != linked)
-    believed = _largest(stretch, held > 0, (held != linked) | torn | (told & (linked == 0)))
+    suspect = (told & (linked == 0)) | (held != linked)
+    believed = _largest(stretch, held > 0, suspect | torn)
     drawn = right & suspect.ravel()[stretches]
     return Trust(
         images=believed,
@@ -309,9 +310,7 @@ def trust(
     )
 
 
-def _doubts(
-    scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray, tuning: TrustTuning
-) -> tuple[np.ndarray, np.ndarray]:
+def _doubts(scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(F,), (F,) bool: frames most of whose near previews with earlier, with later frames are not explained."""
     a, b = scene.frame[i], scene.frame[j]
     later = scene.sequence_index[a] > scene.sequence_index[b]
@@ -320,7 +319,7 @@ def _doubts(
     for ends in (np.where(later, a, b), np.where(later, b, a)):
         total = np.bincount(ends, minlength=scene.frames)
         good = np.bincount(ends, right, minlength=scene.frames)
-        out.append((good < tuning.trusted * total) & (total >= tuning.few))
+        out.append((2 * good < total) & (total >= FEW))
     return out[0], out[1]
 
 

@@ -67,7 +67,7 @@ def in_view(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For points (K,) of a proxy: whether in view and not seen from behind (K,) bool, image cell, distance. ``rays``
     from images of one view to them: in the world (K, 3), in the image's frame (K, 3)."""
-    half = tuning.cone_widens * view.half + slack
+    half = view.half + slack
     (ray, local), towards = rays, proxy.towards[point]
     distance = np.linalg.norm(ray, axis=1)
     ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[point])
@@ -83,7 +83,7 @@ def _sight(
     eye: _Eye, proxy: Proxy, boxes: Boxes, own: np.ndarray, tuning: VisibleTuning
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The points (K,) that an image sees, their cells (K,) and distances (K,)."""
-    half = tuning.cone_widens * eye.view.half + eye.slack
+    half = eye.view.half + eye.slack
     near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
     ray = proxy.points[near] - transforms.centre(eye.pose)
     seen, cell, distance = in_view(eye.view, eye.slack, (ray, ray @ eye.pose[:3, :3].T), proxy, near, tuning)
