@@ -177,19 +177,19 @@ def test_scenes_without_passes_or_photographs() -> None:
 
 @pytest.mark.slow
 def test_many_images_are_looked_up_in_linear_memory() -> None:
-    """Twice the images take 0.7 times as much memory again, for the words are as many: a table of all pairs, at four
-    bytes each, would add 6 %."""
+    """Twice the images take half as much memory again, for the words are as many: a table of all pairs, at four bytes
+    each, would add 7 %."""
     peak = []
     for count in (750, 1500):
         world = Places(np.arange(count) * 12.0, around=3 * count)
         descriptors = world.descriptors()
         tracemalloc.start()
-        index, _ = nearest_images(descriptors, 20)
+        index, _ = nearest_images(descriptors, 20, rounds=1)  # rounds take time alone
         peak.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         rows = np.repeat(np.arange(count), 20)
         assert (world.overlap(rows, index.ravel()) >= 0.1).mean() > 0.9
-    assert 1.65 < peak[1] / peak[0] < 1.78
+    assert 1.48 < peak[1] / peak[0] < 1.6
 
 
 def tied(world: Places, scene: Scene | None = None, images=None) -> Pairs:

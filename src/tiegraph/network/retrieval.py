@@ -121,7 +121,7 @@ def timeline(passes: Sequence[Pass], words: BagsOfWords, tuning: Tuning) -> Time
         image_at=image_at,
         of_pass=of_pass,
         rank=rank,
-        stride=np.maximum(1, reach // tuning.strides_a_reach)[of_pass],
+        stride=np.maximum(1, reach // tuning.retrieval.strides_a_reach)[of_pass],
         cell=cell,
         cell_pass=np.repeat(np.arange(len(passes)), cells),
         place=place,

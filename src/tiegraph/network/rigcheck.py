@@ -276,6 +276,7 @@ def _facing(votes: _Votes, rig: Rig, limit_deg: float) -> _Votes:
 
 def _sampled(passes: Sequence[Pass], camera_pairs: np.ndarray, step: int, frames: int) -> np.ndarray:
     """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and the half of the frames (0, 1)."""
+    frames = max(min(frames, frames**2 // max(1, len(camera_pairs))), 4)  # fewer of large rigs
     some = [passes[k] for k in evenly(len(passes), frames)]
     each = max(1, frames // max(1, len(some)))
     out = [np.zeros((5, 0), int)]

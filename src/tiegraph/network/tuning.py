@@ -60,6 +60,8 @@ class RetrievalTuning(Section):
     support: float = Field(3.0, ge=0)
     """Weight of the cosine between two images' ties relative to their count in units of `min_matches`: a pair of loose
     photographs is kept if both together reach the ceiling of counts."""
+    strides_a_reach: int = Field(3, gt=0)
+    """Sampled frames within a reach in the search for loops."""
     patch: int = Field(10, ge=0)
     """Adjacent confirmed pairs that are needed to accept a loop. Simulated, 300 frames: false patches reach 9 if
     one unrelated preview in five ties. In long surveys, where repeated walls make patches of any size, the whole rig

@@ -53,7 +53,7 @@ STAGES = (
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=10,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
-    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=12,
+    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block", version=13,
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
            tuned=("scene", "network", "features", "sfm")),
     _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=11,
