@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tiegraph import gpu
 from tiegraph.features import matchblocks
+from tiegraph.features import matchers as gpu
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapmodel import repeatable
 from tiegraph.scene.rig import Rig, Sensor

@@ -24,10 +24,9 @@ import pycolmap
 
 from tiegraph.child import run_in_child, run_in_children
 from tiegraph.errors import ChildDied, InputError, ReconstructionError
-from tiegraph.features.matchers import MATCHERS, Features, matcher
+from tiegraph.features.matchers import MATCHERS, Features, device, matcher, on_gpu
 from tiegraph.features.settings import MatchSettings
 from tiegraph.features.tuning import VerificationTuning
-from tiegraph.gpu import device, on_gpu
 from tiegraph.scene.atomic import remove
 from tiegraph.scene.colmapdatabase import (
     Rows,

@@ -4,13 +4,17 @@ of a plug-in of the group ``tiegraph.matchers``, whose rows are checked before C
 The search is native (sources in native/nearest), in whole numbers, one pass over all dot products for both directions.
 Descriptors are first rounded to seven bits and one length, which halves the time and gives as many matches, as often
 right. COLMAP's own default, an approximate index, takes two to six times as long, verification included, and loses some
-matches in a hundred (benchmarks/README.md, *Matching*). Without the native module NumPy finds the same.
+matches in a hundred (benchmarks/README.md, *Matching*). Without the native module NumPy finds the same. COLMAP itself
+matches on a GPU, where a build with CUDA (``pip install pycolmap-cuda12``) finds one.
 """
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -181,3 +185,28 @@ def _fault(rows: np.ndarray, of_a: int, of_b: int) -> str:
     if (rows < 0).any() or (rows >= (of_a, of_b)).any():
         return f"gave rows from {rows.min(axis=0)} to {rows.max(axis=0)} of {of_a} and {of_b} features"
     return "" if all(len(np.unique(column)) == len(rows) for column in rows.T) else "matched a feature twice"
+
+
+_PROBE = """
+import ctypes, sys
+driver, count = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
+sys.exit(driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value < 1)
+"""  # ends with 0 where the driver has a GPU
+
+
+@lru_cache(maxsize=1)
+def on_gpu() -> bool:
+    """Whether COLMAP can work on a GPU here. Asked in a process of its own: one that has touched the driver must not be
+    forked."""
+    if not pycolmap.has_cuda:
+        return False
+    try:
+        # A driver that does not answer within is not used
+        return subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=60).returncode == 0
+    except (OSError, subprocess.SubprocessError):
+        return False
+
+
+def device() -> pycolmap.Device:
+    """Where COLMAP matches; never left to COLMAP, which takes a GPU for granted in a build with CUDA."""
+    return pycolmap.Device.cuda if on_gpu() else pycolmap.Device.cpu

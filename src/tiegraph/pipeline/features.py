@@ -11,11 +11,11 @@ from tiegraph import papers
 from tiegraph.child import cores
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.matchblocks import Rules, Side, colmap_matches, match_pairs
+from tiegraph.features.matchers import on_gpu
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.settings import FeaturesSettings, PreviewSettings
 from tiegraph.features.sift import extract_image, network
 from tiegraph.features.tuning import PreviewTuning, Tuning
-from tiegraph.gpu import on_gpu
 from tiegraph.network.sections import LIGHTS, UpLight
 from tiegraph.pipeline import files
 from tiegraph.project.run import Run

@@ -163,7 +163,6 @@ _REFITTED = 6  # times the nearest places are taken anew
 _STIFF = 1e-3  # weight of changes of curvature and slope, which continue where there are no points
 _NODES = 32  # of the axis on a piece of the alignment
 _MOST_PIECES = 100  # a longer survey has longer ones
-_A_MEDIAN = 30  # points for each median of a profile: a bulge in fewer than half of its length does not count
 _ENDS = 1e-3  # share of the points beyond each end of the axis
 TIGHTEST = 0.7
 """Largest distance from the axis beside the radius of its bend: lengths along u are 1.7 times as long there."""
@@ -190,17 +189,17 @@ def tunnel(path: np.ndarray, cloud: Cloud, tuning: ChooseTuning, circle: bool = 
             "make the survey of its straighter parts",
         )
     if not circle:
-        axis = _profiled(axis, near)
+        axis = _profiled(axis, near, tuning.a_median)
         on = np.abs(axis.uvw(cloud.xyz_m)[:, 2]) < tuning.flatness * axis.radius
     return [(axis, _share(on, tuning, f"the tube of radius {axis.radius:.3g} round the path"))]
 
 
-def _profiled(axis: Frame, xyz: np.ndarray) -> Frame:
+def _profiled(axis: Frame, xyz: np.ndarray, a_median: int) -> Frame:
     """A tube with the profile of points (N, 3): the medians of equally many at neighbouring angles."""
     s, x, y = axis.across(xyz).T
     along = (s > 0) & (s < axis.stations[-1])
     a, r = np.arctan2(x, y)[along], np.hypot(x, y)[along]
-    groups = np.array_split(np.argsort(a), max(3, len(a) // _A_MEDIAN))
+    groups = np.array_split(np.argsort(a), max(3, len(a) // a_median))
     at, angles = np.array([np.median(a[g]) for g in groups]), np.linspace(-np.pi, np.pi, 2 * len(groups) + 1)
     profile = np.zeros(len(angles))
     for _ in range(3):  # each time about the last one, across which the points of a group scatter less
