@@ -50,7 +50,7 @@ from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.shape import Shape
 from tiegraph.sfm.tuning import MappingTuning, Tuning
-from tiegraph.sfm.verified import ViewGraph
+from tiegraph.sfm.verified import VerifiedMatches, ViewGraph
 
 __all__ = ["Model", "Source", "SparseResult", "reconstruct"]
 
@@ -227,8 +227,12 @@ def _derived(job: Job, models: list[np.ndarray], said: dict[int, str]) -> Job | 
     It starts from the poses of the first model, unless that is torn, or a rough one is wanted, which a mapper makes
     faster. ``said``: of each rig that was unknown the remark on them, which is brought up to date."""
     rigs, whole = list(job.scene.rigs), not job.source.rough
+
+    def matched() -> VerifiedMatches:
+        return job.matches().read(job.scene)
+
     for index in said:
-        rig, remark, torn = derive_rig(job.scene, index, models, job.tuning.rig.derive)
+        rig, remark, torn = derive_rig(job.scene, index, models, matched, job.tuning.rig.derive)
         if not said[index] or (rig is not None and rig.mounted > rigs[index].mounted):
             rigs[index], said[index], whole = rig or rigs[index], remark, whole and not torn
     new = {k: "derived" for k in said if rigs[k] is not job.scene.rigs[k]}

@@ -1,7 +1,7 @@
 """The rig in the mapping: how it is used, extrinsics derived from a model without it, sensors that have too few ties,
 and how far a model moved them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.transforms import Similarity, l1_mean_rotation, rms_length, robust_umeyama
+from tiegraph.geometry.transforms import l1_mean_rotation
 from tiegraph.scene.colmapmodel import image_poses, rigid3d, sensor_id
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
@@ -20,7 +20,7 @@ from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.model import distances, relative_poses
 from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning, SupportTuning
-from tiegraph.sfm.verified import ViewGraph
+from tiegraph.sfm.verified import VerifiedMatches, ViewGraph
 
 
 def held_by_mapper(scene: Scene, modes: Mapping[int, str], tuning: RigTuning) -> tuple[int, ...]:
@@ -90,16 +90,16 @@ class _Scatter:
 
 
 def derive_rig(
-    scene: Scene, index: int, poses: Sequence[np.ndarray], tuning: DeriveTuning
+    scene: Scene, index: int, poses: Sequence[np.ndarray], matched: Callable[[], VerifiedMatches], tuning: DeriveTuning
 ) -> tuple[Rig | None, str, bool]:
     """Extrinsics of rig ``index`` by robust averages over the frames of models made without it, of which ``poses`` are
     those (N, 4, 4) of their images; None if no two sensors are rigid. A remark; whether the models seem to be torn.
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline
     (ALGORITHMS section 4). A sensor never seen together with the reference is connected through one that was, and one
-    that no frame shows together with any, such as a camera that looks up, by its motion in a model of its own. Lengths
-    are in units of the first model. The MAD of each sensor is the test of rigidity and synchronisation; a sensor that
-    fails it is left out.
+    that no frame shows together with any, such as a camera that looks up, by the verified matches of its own images.
+    Lengths are in units of the first model. The MAD of each sensor is the test of rigidity and synchronisation; a
+    sensor that fails it is left out.
     """
     rig = scene.rigs[index]
     names = [s.name for s in rig.sensors]
@@ -119,10 +119,8 @@ def derive_rig(
         else:
             found[b], held[b] = average @ found[a], scatter
     for b in sorted(set(range(len(names))) - set(found) - set(left_out)) if len(found) > 1 else ():
-        motions = [_motions(scene, index, found, b, poses[0], own) for own in poses[1:]]
-        rig_poses, own = max(motions, key=lambda m: len(m[0]), default=(np.zeros(0),) * 2)
-        arm = max(float(np.linalg.norm(transforms.centre(t))) for t in found.values())
-        place = hand_eye(rig_poses, own, arm, tuning) if len(rig_poses) >= tuning.min_frames + 2 else None
+        rays = _rays(scene, index, found, b, poses[0], matched())
+        place = None if rays is None else mounted_by_pairs(*rays, tuning)
         if place is not None:
             found[b], held[b] = place
     for b in range(len(names)):
@@ -144,75 +142,70 @@ def derive_rig(
     return replace(rig, sensors=sensors, fixed=False, nominal=True, derived=True), said, bool(few)
 
 
-def _motions(
-    scene: Scene, index: int, found: Mapping[int, np.ndarray], sensor: int, poses: np.ndarray, own: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 4, 4) rig_from_world of the frames of a rig in one model, by their sensors whose extrinsics are found, and
-    sensor_from_world of another sensor at these frames in another model."""
+def _rays(
+    scene: Scene, index: int, found: Mapping[int, np.ndarray], sensor: int, poses: np.ndarray, verified: VerifiedMatches
+) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Matches between a sensor's images at frames that a model places by the sensors whose extrinsics are found: the
+    pose of the rig at the second frame from that at the first (K, 4, 4), the two rays (2, K, 3) in the sensor, and the
+    number of frames; None if there are none."""
     of_rig = np.flatnonzero(scene.rig[scene.frame] == index)
-    there = {int(scene.frame[k]): k for k in of_rig if scene.sensor[k] == sensor and np.isfinite(own[k]).all()}
     known = [k for k in of_rig if int(scene.sensor[k]) in found and np.isfinite(poses[k]).all()]
-    placed = {int(scene.frame[k]): transforms.invert(found[int(scene.sensor[k])]) @ poses[k] for k in known}
-    both = sorted(there.keys() & placed.keys())
-    both = [both[k] for k in evenly(len(both), 300)]  # frames tell it as well as thousands do
-    rows = [placed[f] for f in both], [own[there[f]] for f in both]
-    return tuple(np.array(r).reshape(-1, 4, 4) for r in rows)  # type: ignore[return-value]
+    rig = {int(scene.frame[k]): transforms.invert(found[int(scene.sensor[k])]) @ poses[k] for k in known}
+    arm = max(float(np.linalg.norm(transforms.centre(t))) for t in found.values())
+    camera = scene.rigs[index].sensors[sensor].camera
+    motion, rays, frames = [], [], set()
+    for (i, j), matches in zip(verified.pairs, verified.matches):
+        first, second = (int(scene.frame[k]) for k in (i, j))
+        own = scene.rig[first] == index and scene.sensor[i] == scene.sensor[j] == sensor
+        if camera is None or not own or first not in rig or second not in rig:
+            continue
+        moved = rig[second] @ transforms.invert(rig[first])
+        if np.linalg.norm(moved[:3, 3]) > arm:  # else the lever arm, which is not known, counts
+            some = matches[evenly(len(matches), 30)]
+            ends = [np.asarray(camera.cam_from_img(verified.xy[int(k)][some[:, e]])) for e, k in enumerate((i, j))]
+            rays.append(np.stack([np.c_[xy, np.ones(len(xy))] for xy in ends]))
+            motion += [moved] * len(some)
+            frames |= {first, second}
+    if not rays:
+        return None
+    both = np.concatenate(rays, axis=1)
+    return np.array(motion), both / np.linalg.norm(both, axis=-1, keepdims=True), len(frames)
 
 
-def hand_eye(rig: np.ndarray, own: np.ndarray, arm: float, tuning: DeriveTuning) -> tuple[np.ndarray, _Scatter] | None:
-    """Extrinsics (4, 4) of a sensor by K frames' poses rig_from_world (K, 4, 4) in one model and sensor_from_world in
-    another, whose similarity to the first is unknown too; None where the motion does not determine its rotation, or
-    contradicts a rigid mounting (robot-world calibration: Dornaika and Horaud 1998).
+def mounted_by_pairs(
+    motion: np.ndarray, rays: np.ndarray, frames: int, tuning: DeriveTuning
+) -> tuple[np.ndarray, _Scatter] | None:
+    """Extrinsics (4, 4) of a sensor, at the place of its rig, by K matches of its images: the pose of the rig at the
+    second frame from that at the first (K, 4, 4) and the rays (2, K, 3) in the sensor, from so many frames. None where
+    they do not determine one rotation, as on a straight path, or contradict a rigid mounting.
 
-    Least squares over both, on the frames whose places agree: a camera that looks up has poses of its own only where it
-    sees more than sky. A path that is nearly straight determines the roll of the similarity by rotations only, so
-    several rolls are tried. What the motion leaves open of the lever arm, it has from its prior: zero, with the sigma
-    ``arm``, how far the other sensors are from each other.
+    The rotation is that with which the rays meet (epipolar constraint), by the best of many starts.
     """
-    reach = rms_length(transforms.centre(rig) - transforms.centre(rig).mean(axis=0))
-    if not reach > 1e-6 * np.abs(transforms.centre(rig)).max():  # it stands still
-        return None
-    noise, arm = 0.02 * reach, max(arm, 1e-3 * reach)
-    start, near = robust_umeyama(transforms.centre(own), transforms.centre(rig), noise)
-    rig, own = rig[near], own[near]
-    if len(rig) < tuning.min_frames + 2:  # three frames give all that is unknown, two more confirm it
-        return None
-    centres, theirs = transforms.centre(rig), transforms.centre(own)
-    middle = centres.mean(axis=0)
-    axis = np.linalg.svd(centres - middle, full_matrices=False)[2][0]
+    turn, base = motion[:, :3, :3], motion[:, :3, 3] / np.linalg.norm(motion[:, :3, 3], axis=1, keepdims=True)
 
-    def mounted(x: np.ndarray, near: Similarity) -> tuple[np.ndarray, Similarity]:
-        similarity = near.stepped(x[:7], middle)
-        turns = own[:, :3, :3] @ similarity.rotation.T @ np.swapaxes(rig[:, :3, :3], 1, 2)
-        return turns, similarity
+    def off(x: np.ndarray, use: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Angles (K,) between the second rays and the planes of the first rays and the bases, radians."""
+        a, b = rays[:, use] @ Rotation.from_rotvec(x).as_matrix()
+        plane = np.cross(base[use], np.einsum("kij,kj->ki", turn[use], a))
+        length = np.linalg.norm(plane, axis=1)  # along the base there is no plane
+        return np.sum(b * plane, axis=1) / np.maximum(length, 0.05)
 
-    def residuals(x: np.ndarray, near: Similarity, turn: np.ndarray) -> np.ndarray:
-        turns, similarity = mounted(x, near)
-        off = Rotation.from_matrix(turns @ turn.T @ Rotation.from_rotvec(x[7:10]).as_matrix().T).as_rotvec()
-        lever = np.einsum("kji,j->ki", rig[:, :3, :3], x[10:])
-        apart = similarity(theirs) - centres - lever
-        weak = np.r_[1e-3 * reach * x[7:10], noise / arm * x[10:]]  # what the motion leaves open stays, and is unsure
-        return np.r_[(reach * off).ravel(), apart.ravel(), weak]
-
-    best = None
-    for roll in np.linspace(0, 2 * np.pi, 12, endpoint=False):  # starts
-        turned = Rotation.from_rotvec(roll * axis).as_matrix()
-        near = Similarity(start.scale, turned @ start.rotation, turned @ (start.translation - middle) + middle)
-        turn = l1_mean_rotation(mounted(np.zeros(13), near)[0])
-        fit = scipy.optimize.least_squares(residuals, np.zeros(13), loss="cauchy", f_scale=noise, args=(near, turn))
-        if best is None or fit.cost < best[0].cost:
-            best = fit, near, turn
-    fit, near, turn = best  # type: ignore[misc]
-    turns, _ = mounted(fit.x, near)
-    rotation = Rotation.from_rotvec(fit.x[7:10]).as_matrix() @ turn
-    angles = transforms.angle_deg(turns, rotation)
-    scatter = _Scatter(len(rig), float(np.median(angles)), float(np.mean(angles > tuning.outlier_deg)))
-    freedom = 6 * len(rig) - 13
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * 2 * fit.cost / freedom
-    unsure = np.degrees(np.sqrt(np.diag(covariance)[7:10].max()))
-    if scatter.few(tuning) or scatter.why_not(tuning) or not unsure < tuning.max_scatter_deg:
+    if frames < tuning.min_frames + 2:  # three frames give all that is unknown, two more confirm it
         return None
-    return transforms.rigid(rotation, -rotation @ fit.x[10:]), scatter
+    near, some = np.radians(tuning.max_scatter_deg), evenly(len(base), 300)
+    starts = Rotation.random(2000, random_state=0).as_rotvec()
+    rough = [float(np.mean(np.minimum(np.abs(off(x, some)), 10 * near))) for x in starts]
+    fits = [scipy.optimize.least_squares(off, x, loss="cauchy", f_scale=near) for x in starts[np.argsort(rough)[:12]]]
+    best = min(fits, key=lambda f: f.cost)
+    rotation = Rotation.from_rotvec(best.x)
+    others = [f.cost for f in fits if (Rotation.from_rotvec(f.x) * rotation.inv()).magnitude() > 10 * near]
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * 2 * best.cost / max(1, len(base) - 3)
+    angles = np.degrees(np.abs(off(best.x)))
+    scatter = _Scatter(frames, float(np.median(angles)), float(np.mean(angles > tuning.outlier_deg)))
+    unsure = np.sqrt(covariance.diagonal().max()) > near or min(others, default=np.inf) < 2 * best.cost
+    if unsure or scatter.few(tuning) or scatter.why_not(tuning):
+        return None
+    return transforms.rigid(rotation.as_matrix(), np.zeros(3)), scatter
 
 
 def _rank(mounting: np.ndarray, scatter: _Scatter, tuning: DeriveTuning) -> tuple[bool, bool, float]:
