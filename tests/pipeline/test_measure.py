@@ -97,6 +97,20 @@ def test_a_profile_is_exact_on_a_plane(run, tmp_path):
     assert (tmp_path / "again.svg").read_bytes() == svg
 
 
+def test_a_profile_is_a_layer_of_points_for_gis(run, tmp_path):
+    pyogrio = pytest.importorskip("pyogrio")
+    line = ["--line", f"{EAST + 2},{NORTH + 1}", f"{EAST + 20.3},{NORTH + 11.7}"]
+    for name in ("profile.csv", "layer.gpkg"):
+        assert main(["profile", str(run), *line, "-o", str(tmp_path / name)]) == 0
+    rows = list(csv.DictReader((tmp_path / "profile.csv").open()))
+    meta, _, shapes, columns = pyogrio.raw.read(tmp_path / "layer.gpkg", layer="profile")
+    assert "32654" in meta["crs"] and (tmp_path / "layer.svg").exists() and len(shapes) == len(rows)
+    for name, values in zip(meta["fields"], columns):
+        np.testing.assert_array_equal(values, [float(row[name]) for row in rows])
+    places = np.array([np.frombuffer(s[5:21]) for s in shapes])
+    np.testing.assert_allclose(places, [(float(r["east_m"]), float(r["north_m"])) for r in rows], atol=1e-4)
+
+
 def test_a_profile_says_nothing_where_nothing_was_seen(run, tmp_path):
     line = tmp_path / "line.geojson"
     ends = [[EAST - 1, NORTH + 19], [EAST + 10, NORTH + 19]]

@@ -105,7 +105,7 @@ class _Profile:
     """Places of the line as E,N E,N ... in the CRS of the survey; or a file with a line: GeoJSON, GeoPackage, DXF, CSV
     of east and north."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("profile.csv")
-    """The CSV to write; the chart has its name and ends in .svg."""
+    """The CSV to write, or a GeoPackage (.gpkg) of points; the chart has its name and ends in .svg."""
 
     def run(self) -> int:
         from tiegraph.pipeline.measure import make_profile

@@ -20,8 +20,9 @@ from tiegraph.products.surface import MAP, Window
 from tiegraph.products.tuning import VolumeTuning
 from tiegraph.project.folder import check_format
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import shift_of
-from tiegraph.scene.vectors import Shapes, read_shapes
+from tiegraph.scene.vectors import Shapes, feature, gdal, read_shapes, write_layer
 from tiegraph.text import csv_text, finite, some
 
 BASES = ("plane", "lowest")
@@ -136,7 +137,9 @@ def _in_crs(shapes: Shapes, path: Path, map_: MapFiles) -> list[np.ndarray]:
 
 
 def make_profile(folder: Path, line: Sequence[str], out: Path) -> volumes.Profile:
-    """Write heights along a line of a map as CSV and SVG. Raises InputError without a map, for an unfit line or CRS."""
+    """Write heights along a line of a map as CSV, or as points of a GeoPackage, and as SVG. Raises InputError without
+    a map, for an unfit line or CRS, EngineMissing for a GeoPackage without pyogrio."""
+    raw = gdal(out.name, "give a file that ends in .csv") if out.suffix == ".gpkg" else None
     map_ = open_map(folder)
     vertices = line_of(line, map_)
     distance, places = volumes.along(vertices, map_.pixel)
@@ -146,7 +149,13 @@ def make_profile(folder: Path, line: Sequence[str], out: Path) -> volumes.Profil
     names = {"dsm": "dsm", "dsm_sigma": "sigma", "dtm": "dtm", "dtm_sigma": "dtm_sigma"}
     values = {column: volumes.sampled(partial(map_.read, name), at) for column, name in names.items()}
     profile = volumes.Profile(distance, places, values, unit=map_.unit)
-    write_atomic(out, csv_text(*profile.table))
+    names_of, rows = profile.table
+    if raw is None:
+        write_atomic(out, csv_text(names_of, rows))
+    else:
+        points = [feature("Point", place, dict(zip(names_of, row))) for place, row in zip(places, rows)]
+        with rasterio.open(map_.path("dsm")) as raster, replacing(out) as temporary:
+            write_layer(raw, temporary, "profile", points, raster.crs.to_wkt())
     write_atomic(out.with_suffix(".svg"), volumes.chart(profile))
     return profile
 
