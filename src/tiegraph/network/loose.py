@@ -76,7 +76,9 @@ class BagsOfWords:
         return out
 
 
-def bags_of_words(descriptors: Sequence[np.ndarray], training: int = 200_000, rounds: int = 8) -> BagsOfWords:
+def bags_of_words(
+    descriptors: Sequence[np.ndarray], training: int = 200_000, rounds: int = 8, vocabularies: int = 2
+) -> BagsOfWords:
     """Words of images with root-SIFT descriptors (K, 128) u1 each; K = 0 is legal. Deterministic.
 
     ``descriptors`` is read a few times, image by image: it may load on demand. ``training``: descriptors from which
@@ -87,7 +89,7 @@ def bags_of_words(descriptors: Sequence[np.ndarray], training: int = 200_000, ro
         return BagsOfWords(csr_array((len(descriptors), 1), dtype=np.float32))
     words = int(np.clip(total / 12, 256, 65536))  # 8 to 16 features a word are equally good from 79 to 300 images
     parts = []
-    for seed in range(2):  # vocabularies with different starts find 0.01 to 0.02 more than one
+    for seed in range(vocabularies):  # two with different starts find 0.01 to 0.02 more than one
         rng = np.random.default_rng(seed)
         taken = np.concatenate([d[rng.random(len(d)) < training / total] for d in descriptors])  # of all alike
         taken = taken.astype(np.float32).reshape(-1, 128)
@@ -101,12 +103,11 @@ def words_of(context: Context) -> BagsOfWords:
     return bags_of_words(context.descriptors())
 
 
-def nearest_images(
-    descriptors: Sequence[np.ndarray], count: int, training: int = 200_000, rounds: int = 8
-) -> tuple[np.ndarray, np.ndarray]:
+def nearest_images(descriptors: Sequence[np.ndarray], count: int, **how: int) -> tuple[np.ndarray, np.ndarray]:
     """The ``count`` most similar images of each of N images with descriptors (K, 128) u1: indices (N, C) i4, -1 = no
-    more, and cosines (N, C) f4, best first. Linear memory; 4000 images of 800 features take half a minute."""
-    return bags_of_words(descriptors, training, rounds).nearest(count)
+    more, and cosines (N, C) f4, best first. Linear memory; 4000 images of 800 features take half a minute.
+    ``how``: of ``bags_of_words``."""
+    return bags_of_words(descriptors, **how).nearest(count)
 
 
 @dataclass(frozen=True)

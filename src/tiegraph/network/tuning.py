@@ -16,7 +16,7 @@ class CountsTuning(Section):
     """Factor on `min_matches`: count of unrelated images by chance."""
     ceiling: float = Field(2.0, gt=1)
     """Factor on `min_matches`: higher counts add no evidence."""
-    sure: float = Field(1.25, gt=0)
+    sure: float = Field(1.2, gt=0)
     """Factor on `min_matches` for a single preview, which must be surer than an average over neighbouring frames, and
     for the highest count of a patch of evidence."""
     sigma_nodes: float = Field(0.8, gt=0)

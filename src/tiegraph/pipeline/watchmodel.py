@@ -138,7 +138,7 @@ def make_model(folder: Path, settings: Settings, scene: Scene, ties: PreviewMatc
 def _with_look_alikes(run: Run, scene: Scene, ties: PreviewMatches) -> PreviewMatches:
     """The ties, and the matches of the most similar images that were not matched yet."""
     descriptors = [read_preview(run.folder, name).descriptors for name in scene.names]
-    other, _ = nearest_images(descriptors, _LOOK_ALIKES, training=30_000)  # a second, not three, at 200 images
+    other, _ = nearest_images(descriptors, _LOOK_ALIKES, training=30_000, vocabularies=1)  # a second at 200 images
     one = np.repeat(np.arange(len(scene)), other.shape[1])[other.ravel() >= 0]
     two = other.ravel()[other.ravel() >= 0]
     pairs = np.unique(np.sort(np.column_stack([one, two]), axis=1), axis=0)
