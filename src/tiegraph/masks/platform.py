@@ -81,8 +81,9 @@ def learn_platform(images: Sequence[Path], tuning: Tuning) -> tuple[list[Path], 
     # More add time and no certainty
     frames = _of_one_shape([grey(image) for _, image in read_frames(spread(different, 28), tuning.work_px)])
     mask, marks = platform_of_frames(frames, tuning)
-    # Fewer than 10 frames agree by chance on 0.02 of the image, such as a pole straight ahead
-    mask = mask | marks if len(frames) >= 10 else _at_border(mask, 0.03)
+    if len(frames) < 10:
+        mask = _at_border(mask, 0.03)  # few frames agree by chance at 0.02 of the image, a pole straight ahead
+    mask |= marks
     if not mask.any():
         return different, None, "no platform seen"
     return different, mask, f"platform {100 * mask.mean():.0f} %"
