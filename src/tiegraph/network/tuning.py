@@ -1,6 +1,6 @@
 """Constants of the stages candidates, coarse and network, each with its unit, meaning and origin.
 
-A verdict needs ``scene.evidence.ENOUGH`` values, or ``SIDE`` where a majority of few decides. Counts of matches are
+A verdict needs ``scene.evidence.ENOUGH`` values, or ``FEW`` where a majority of few decides. Counts of matches are
 read in units of ``candidates.min_matches`` everywhere.
 """
 

@@ -49,7 +49,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal")
 STAGES = (
     _stage("scan", (), ("scene.json", "whole.json", "images", "odometry"), "image", version=14,
            tuned=("scene", "odometry")),
-    _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=15),
+    _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=14),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=3, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=10,
            scratch=("candidates/matched",), tuned=("scene", "network", "features")),
@@ -68,7 +68,7 @@ STAGES = (
            scratch=("sparse/.run",), tuned=("scene", "features", "sfm")),
     _stage("georef", ("network", "match", "sparse"), ("sparse/world", "world.json"), version=30,
            scratch=("sparse/.world",), tuned=("scene", "sfm", "targets")),
-    _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=6,
+    _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=5,
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=6, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=7,

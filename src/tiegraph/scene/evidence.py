@@ -25,10 +25,8 @@ from tiegraph.geometry.transforms import MAD
 # The limit of a contradiction, everywhere: by the probability, for each test, that agreement is called one.
 CHANCE = 0.001
 LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
-ENOUGH, FEW = (
-    8,
-    3,
-)  # values that tell a trend or a verdict from noise; those on either side of a step, or for a majority
+ENOUGH = 8  # values that tell a trend or a verdict from noise
+FEW = 3  # values on either side of a step, or for a majority
 RARELY = f"which chance does once in {1 / CHANCE:.0f} surveys at most"  # follows the result of a test below
 
 

@@ -3,9 +3,9 @@
 Two images determine the focal lengths f, g of their cameras by their fundamental matrix F: only with the right ones the
 two singular values of K(g)^T F K(f) that are not zero are equal, because the product is then an essential matrix
 (Mendonca and Cipolla 1999). One pair says little. The cost of all pairs is the sum of the roots of the values' relative
-differences, so that false pairs count little. It has a minimum within 15 % of the adjusted focal length (two canals,
-also in fog and in the dark; Herz-Jesus-P8 and P25, fountain-P11, oppaiyama, sceaux); the mapper's adjustment does the
-rest.
+differences, so that false pairs count little. It has a minimum within 15 % of the adjusted focal length (canals, also
+in fog and in the dark; Herz-Jesus-P8, fountain-P11, oppaiyama, sceaux, uav_bands, PandaSet); the mapper's adjustment
+does the rest.
 
 COLMAP's view graph calibration has the same aim, but it stays near the value from which it starts: from 1.2 longer
 sides it ends at 0.5 to 1.3 for the six equal lenses of 0.48 of a canal.

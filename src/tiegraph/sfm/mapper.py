@@ -3,6 +3,7 @@ images."""
 
 import shutil
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -228,6 +229,7 @@ def _derived(job: Job, models: list[np.ndarray], said: dict[int, str]) -> Job | 
     faster. ``said``: of each rig that was unknown the remark on them, which is brought up to date."""
     rigs, whole = list(job.scene.rigs), not job.source.rough
 
+    @cache
     def matched() -> VerifiedMatches:
         return job.matches().read(job.scene)
 

@@ -14,7 +14,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import l1_mean_rotation
 from tiegraph.scene.colmapmodel import image_poses, rigid3d, sensor_id
 from tiegraph.scene.evidence import LIMIT
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.rig import Rig, rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.model import distances, relative_poses
@@ -162,14 +162,12 @@ def _rays(
         moved = rig[second] @ transforms.invert(rig[first])
         if np.linalg.norm(moved[:3, 3]) > arm:  # else the lever arm, which is not known, counts
             some = matches[evenly(len(matches), 30)]
-            ends = [np.asarray(camera.cam_from_img(verified.xy[int(k)][some[:, e]])) for e, k in enumerate((i, j))]
-            rays.append(np.stack([np.c_[xy, np.ones(len(xy))] for xy in ends]))
+            rays.append(np.stack([rays_or_axis(camera, verified.xy[int(k)][some[:, e]]) for e, k in enumerate((i, j))]))
             motion += [moved] * len(some)
             frames |= {first, second}
     if not rays:
         return None
-    both = np.concatenate(rays, axis=1)
-    return np.array(motion), both / np.linalg.norm(both, axis=-1, keepdims=True), len(frames)
+    return np.array(motion), np.concatenate(rays, axis=1), len(frames)
 
 
 def mounted_by_pairs(
