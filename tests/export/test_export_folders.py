@@ -531,6 +531,12 @@ SHAPES = [
             "coordinates": {"type": "array", "items": POSITION, "minItems": 2},
         }
     },
+    {
+        "properties": {
+            "type": {"const": "Polygon"},
+            "coordinates": {"type": "array", "items": {"type": "array", "items": POSITION, "minItems": 4}},
+        }
+    },
 ]
 FEATURE = {
     "required": ["type", "geometry", "properties"],
@@ -575,9 +581,17 @@ def test_geojson_is_in_degrees_and_leads_back_to_the_crs(made, tmp_path):
     views = layer(tmp_path / "out", "views")
     assert len(views) == len(cameras)
     for view in views:
-        start, end = (np.array(to_crs.transform(*c)) for c in view["geometry"]["coordinates"])
-        axis = made.model.find_image_with_name(view["properties"]["name"]).cam_from_world().rotation.matrix()[2]
-        assert np.abs((end - start) - view["properties"]["distance_m"] * axis).max() < 2e-3
+        image = made.model.find_image_with_name(view["properties"]["name"])
+        (ring,), camera = view["geometry"]["coordinates"], image.camera
+        world = np.array([to_crs.transform(*c) for c in ring]) - ORIGIN.shift_m
+        assert ring[0] == ring[-1] and 4 <= len(ring) <= 6
+        local = world @ image.cam_from_world().rotation.matrix().T + image.cam_from_world().translation
+        corners = local[np.linalg.norm(local, axis=1) > 0.01]
+        away = corners[:, 2] / view["properties"]["distance_m"]  # less where no point is as far from the camera
+        assert len(corners) >= 2 and 0.9 < away.min() <= away.max() < 1.001
+        pixels = camera.img_from_cam(corners)
+        off = np.minimum(np.abs(pixels), np.abs(pixels - [camera.width, camera.height]))
+        assert off.max() < 0.5  # each is a corner of the image
     ties = layer(tmp_path / "out", "ties")
     assert [t["properties"]["matches"] for t in ties] == [50, 20, 10]
     assert (ties[0]["properties"]["a"], ties[0]["properties"]["b"]) == made.scene.names[:2]

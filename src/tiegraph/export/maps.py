@@ -1,4 +1,4 @@
-"""Maps for GIS: cameras, where they look, and the tie graph; GeoJSON in WGS84, GeoPackage in the CRS with styles.
+"""Maps for GIS: cameras, what they see in plan, and the tie graph; GeoJSON in WGS84, GeoPackage in the CRS with styles.
 
 A GeoPackage is written by GDAL (pyogrio) from the same features.
 """
@@ -6,7 +6,10 @@ A GeoPackage is written by GDAL (pyogrio) from the same features.
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pycolmap
+from numpy.linalg import norm
 
 from tiegraph.errors import InputError
 from tiegraph.export.survey import Survey
@@ -16,20 +19,19 @@ from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 
 FILE = "survey.gpkg"
+_BLUE = "27,108,168,255"
 STYLES = {
     "cameras": style(
         "SimpleMarker",
         1.0,
-        {
-            "name": "arrow",
-            "color": "27,108,168,255",
-            "outline_color": "255,255,255,255",
-            "size": "4",
-            "size_unit": "MM",
-        },
+        {"name": "arrow", "color": _BLUE, "outline_color": "255,255,255,255", "size": "4", "size_unit": "MM"},
         by=("angle", "&quot;heading_deg&quot;"),
     ),
-    "views": style("SimpleLine", 0.5, {"line_color": "27,108,168,255", "line_width": "0.15", "line_width_unit": "MM"}),
+    "views": style(
+        "SimpleFill",
+        0.5,
+        {"color": "27,108,168,20", "outline_color": _BLUE, "outline_width": "0.15", "outline_width_unit": "MM"},
+    ),
     "ties": style(
         "SimpleLine",
         0.6,
@@ -82,9 +84,7 @@ def _layers(survey: Survey, placed: Callable[[np.ndarray], np.ndarray]) -> dict[
     """Features by layer; ``placed`` takes world metres (N, 3) to the coordinates of the map."""
     scene, images, cameras, views = survey.scene, survey.images(), [], []
     centres = np.array([i.projection_center() for i in images]).reshape(-1, 3)
-    sigmas = (
-        np.full(len(images), np.nan) if survey.error is None else np.linalg.norm(survey.error.sigma(centres), axis=1)
-    )
+    sigmas = np.full(len(images), np.nan) if survey.error is None else norm(survey.error.sigma(centres), axis=1)
     for image, centre, place, sigma in zip(images, centres, placed(centres), sigmas):
         index = survey.index(image)
         frame = int(scene.frame[index])
@@ -106,12 +106,27 @@ def _layers(survey: Survey, placed: Callable[[np.ndarray], np.ndarray]) -> dict[
         seen = np.array([survey.model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()])
         if len(seen):
             away = float(np.median((seen - centre) @ pose[:3, 2]))
-            ends = placed(np.stack([centre, centre + away * pose[:3, 2]]))
-            views.append(feature("LineString", ends, {"name": image.name, "distance_m": _number(away, 3)}))
+            ring = placed(
+                _outline(survey.model.cameras[image.camera_id], pose, away, norm(seen - centre, axis=1).max())
+            )
+            views.append(feature("Polygon", ring[None], {"name": image.name, "distance_m": _number(away, 3)}))
     at = {survey.names.get(i.name, i.name): c for i, c in zip(images, placed(centres))}
     known = [(a, b, n) for a, b, n in survey.ties if a in at and b in at]
     ties = [feature("LineString", np.stack([at[a], at[b]]), {"a": a, "b": b, "matches": n}) for a, b, n in known]
     return {"ties": ties, "views": views, "cameras": cameras}
+
+
+def _outline(camera: pycolmap.Camera, pose: np.ndarray, away: float, most: float) -> np.ndarray:
+    """What a camera with its pose (4, 4) in the world sees in plan, (N, 3) a closed ring of world metres: the hull of
+    its centre and of the image's corners ``away`` along the optical axis, but at most ``most`` from the centre."""
+    width, height = camera.width, camera.height
+    corners = np.array([[0.0, 0.0], [width, 0], [width, height], [0, height]])
+    rays = np.asarray(camera.cam_from_img(corners), float)
+    rays = np.column_stack([rays, np.ones(4)])[np.isfinite(rays).all(axis=1)]
+    rays *= np.minimum(away, most / norm(rays, axis=1, keepdims=True))
+    xyz = np.vstack([np.zeros(3), rays]) @ pose[:3, :3].T + pose[:3, 3]
+    ring = cv2.convexHull((xyz[:, :2] - pose[:2, 3]).astype(np.float32), returnPoints=False)[::-1, 0]
+    return xyz[np.r_[ring, ring[0]]]
 
 
 def _number(value: float, digits: int) -> float | None:

@@ -18,7 +18,7 @@ _WRITTEN = "1970-01-01T00:00:00.000Z"  # the date in a GeoPackage: the same data
 
 
 def feature(kind: str, coordinates: np.ndarray, said: dict[str, Any]) -> dict[str, Any]:
-    """A GeoJSON feature of a kind (Point, LineString) with its coordinates (..., 2 or 3) and properties."""
+    """A GeoJSON feature of a kind (Point, LineString, Polygon) with its coordinates (..., 2 or 3) and properties."""
     shape = {"type": kind, "coordinates": coordinates.tolist()}
     return {"type": "Feature", "geometry": shape, "properties": said}
 
@@ -153,7 +153,7 @@ def style(drawn: str, alpha: float, options: dict[str, str], by: tuple[str, str]
         inner += f'<Option type="QString" name="expression" value="{by[1]}"/>'
         inner += f'<Option type="int" name="type" value="{_BY_EXPRESSION}"/>'
         properties = f'<Option type="Map" name="properties"><Option type="Map" name="{by[0]}">{inner}</Option></Option>'
-    kind = "marker" if drawn == "SimpleMarker" else "line"
+    kind = drawn.removeprefix("Simple").lower()
     return _PAGE.format(kind=kind, alpha=alpha, drawn=drawn, options=lines, properties=properties)
 
 
