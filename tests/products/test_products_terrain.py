@@ -163,6 +163,13 @@ def test_lines_are_smooth_and_specks_are_left_out():
     assert np.degrees(np.sqrt(np.mean(np.concatenate(turned) ** 2))) < 15
 
 
+def test_heights_too_scattered_for_planes_have_no_lines():
+    w, sigma = np.full(X.shape, np.nan), np.full(X.shape, 0.02)
+    w[3::25, 5::25] = hill()[3::25, 5::25]  # as of a canal between walls: a cell here and there
+    assert equidistance(w, sigma, TUNING) > 0
+    assert contour_lines(w, sigma, PLACES, 0.25, TUNING) == []
+
+
 def drawn(folder):
     lines = contour_lines(hill() + 40, np.full(X.shape, 0.02), (PLACES[0] + 388_800, PLACES[1] + 3_951_200), 1, TUNING)
     return glue._write_lines(folder / "contours.gpkg", lines, world.surface(), Place(world.ORIGIN)), lines

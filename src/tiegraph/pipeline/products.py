@@ -203,7 +203,7 @@ class TerrainWork(OnSurface):
         every = terrain.equidistance(w, sigma, tuning)
         u, v = (at + off for at, off in zip(surface.places(whole, step), surface.offset))
         lines = terrain.contour_lines(w, sigma, (u, v), every, tuning)
-        said = "none, because no height of the terrain is known or all are equal"
+        said = "none, because the known heights of the terrain are too few and scattered, or all equal"
         if lines:
             written = _write_lines(self.path("contours.gpkg"), lines, surface, self.place)
             levels = len({line.w for line in lines})

@@ -236,10 +236,10 @@ def contour_lines(
     (columns,) and v (rows,).
 
     They are drawn on heights smoothed by planes, exact on slopes. Rings and pieces shorter than a few pixels, which a
-    map would show as dots, are left out.
+    map would show as dots, are left out; where the known heights are too scattered for planes there is none.
     """
     smooth = smoothed(w, sigma, tuning.smooth_cells)
-    if every <= 0 or min(w.shape) < 2:
+    if every <= 0 or min(w.shape) < 2 or not np.isfinite(smooth).any():
         return []
     pixel = abs(places[0][1] - places[0][0])
     drawn = contour_generator(*places, np.ma.masked_invalid(smooth), name="serial", line_type="Separate")
