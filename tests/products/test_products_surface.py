@@ -105,6 +105,13 @@ def test_a_plane_without_points_or_length_is_an_error_that_says_where_the_points
     assert "products.plane" in str(told.value)
 
 
+def test_pixels_that_no_image_resolves_are_refused_and_coarse_ones_are_taken():
+    with pytest.raises(ReconstructionError, match=r"pixel_m = 0.0005: no image resolves map better.*give 0.00[67] or"):
+        choose(survey(MAP), ProductsSettings(pixel_m=0.0005), TUNING)
+    for taken in (0.01, 0.5):
+        assert choose(survey(MAP), ProductsSettings(pixel_m=taken), TUNING)[0][0].pixel_m == taken
+
+
 @pytest.mark.slow
 def test_what_is_ordered_is_made_and_nothing_else():
     assert choose(survey(MAP), ProductsSettings(make="none"), TUNING)[0] == []

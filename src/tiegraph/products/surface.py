@@ -375,6 +375,12 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
     gsd = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
     pixel = settings.pixel_m or round_above(max(gsd, survey.spacing / 2), _SERIES)
     near = sizes <= tuning.coarsest * pixel
+    if settings.pixel_m and gsd and not near.any():
+        best = float(np.nanmin(sizes))
+        raise ReconstructionError(
+            f"products.pixel_m = {pixel:g}: no image resolves {surface.name} better than by {best:.2g} {survey.unit}; "
+            f"give {best / tuning.coarsest:.1g} or more, or leave it out"
+        )
     uv = surface.frame.uvw(own[near] if near.any() else own)[:, :2]
     low, high = np.transpose([_ends(values) for values in uv.T])
     low = np.where(np.isfinite(surface.low), surface.low, np.append(low, 0.0))  # given limits are kept
