@@ -1,5 +1,6 @@
 """Makes the pictures of the README, and that of docs/mesh.md if the run has a mesh, from a run of the example survey:
-`python docs/pictures.py tiegraph_demo`."""
+`python docs/pictures.py tiegraph_demo`; the orthophoto of any surface and its heights beside each other:
+`python docs/pictures.py OUT/products/map NAME`."""
 
 import shutil
 import sys
@@ -28,6 +29,18 @@ def main(out: Path) -> None:
     if (out / "mesh" / "mesh.glb").exists():
         picture = mesh_view(out / "mesh" / "mesh.glb", np.array(centres))
         cv2.imwrite(str(FOLDER / "mesh.jpg"), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def sheet(surface: Path, name: str) -> None:
+    """The orthophoto of a surface (its folder) and the heights of its terrain, or of itself, beside each other."""
+    heights = next(surface / f for f in ("dtm.jpg", "dsm.jpg") if (surface / f).exists())
+    parts = [cv2.imread(str(p), cv2.IMREAD_COLOR) for p in (surface / "overview.jpg", heights)]
+    wide = WIDTH // 2
+    parts = [cv2.resize(p, (wide, round(p.shape[0] * wide / p.shape[1])), None, 0, 0, cv2.INTER_AREA) for p in parts]
+    out = np.full((max(len(p) for p in parts), 2 * wide, 3), 255, np.uint8)
+    for k, part in enumerate(parts):
+        out[: len(part), k * wide : (k + 1) * wide] = part
+    cv2.imwrite(str(FOLDER / f"{name}.jpg"), out, [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def mesh_view(
@@ -66,4 +79,4 @@ def mesh_view(
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    (main if len(sys.argv) == 2 else sheet)(Path(sys.argv[1]), *sys.argv[2:])

@@ -89,10 +89,10 @@ def made(points: int, stage: str, folder: Path, args: argparse.Namespace) -> dic
         edge = _edge(points, args.pixel_m)
         low, high = np.array([0.0, 0.0, -50.0]), np.array([edge, edge, 50.0])
         surface = Surface(MAP, Frame(np.eye(4)), low, high, pixel_m=args.pixel_m, offset=np.array(_ORIGIN.shift_m))
-        about = {"place": Place(_ORIGIN), "tuning": Tuning(), "tile": args.tile}
+        about = {"place": Place(_ORIGIN), "tuning": Tuning(), "tile": args.tile, "objects_m": 40.0}
         work = _Work(folder, surface, **about, pictures=Drawn(edge))
         steps = work.steps() if args.images else work.steps()[:1]
-        for step in (*steps, *TerrainWork(folder, surface, **about, objects_m=40.0).steps()):
+        for step in (*steps, *TerrainWork(folder, surface, **about).steps()):
             for item in step.todo():
                 step.make(item)
             step.finish()

@@ -11,15 +11,19 @@ import pytest
 import rasterio
 
 import tiegraph
+from products_world import CHECK, MAP, colour, in_box
 from test_plugins import install
 from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.pipeline import products as glue
-from tiegraph.pipeline.files import world_origin
+from tiegraph.pipeline.files import CLOUD, world_origin
 from tiegraph.products.ortho import draw, ortho_tile
+from tiegraph.products.raster import Place
+from tiegraph.products.surface import Window
+from tiegraph.products.tuning import Tuning
 from tiegraph.project.inputs import Inputs
 from tiegraph.project.run import Run
 from tiegraph.project.settings import merged
-from tiegraph.scene.copc import copc_box
+from tiegraph.scene.copc import copc_box, write_copc
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -168,6 +172,41 @@ def test_a_wall_along_the_path_is_unrolled_with_the_same_files(made, tmp_path):
         assert json.loads(raster.tags()["axis"]) == frame["axis"] and raster.units == ("m",)
         assert known.mean() > 0.05 and (ortho.read(4) > 0)[known].mean() > 0.7
     assert 1e-4 < np.median(np.abs(w[known])) < 0.05  # the walls of this survey are plane
+
+
+class Pictures:
+    """The images of a synthetic map, as ``pipeline.dense.Pictures``."""
+
+    views = MAP.views()
+
+    def picture(self, k):
+        rgb = MAP.picture(self.views[k])
+        return rgb, np.ones(rgb.shape[:2], bool)
+
+
+@pytest.mark.parametrize(("objects_m", "least", "most"), [(4.0, 0.99, 1.0), (0.4, 0.0, 0.1)])
+def test_the_orthophoto_of_a_map_is_drawn_where_its_surface_is_only_interpolated(tmp_path, objects_m, least, most):
+    centre, radius = np.array([1.5, 4.4]), 0.7  # of a tree in which nothing was matched
+    cloud = MAP.cloud(0.02)
+    cloud = cloud.where(np.linalg.norm(cloud.xyz_m[:, :2] - centre, axis=1) > radius)
+    write_copc(lambda: iter([cloud]), tmp_path / CLOUD, 0.02, tmp_path)
+    about = {"tuning": Tuning(), "tile": 64, "objects_m": objects_m, "pictures": Pictures()}
+    work = glue._Work(tmp_path, MAP.surface, Place(None, "m", ""), **about)
+    for step in work.steps():
+        for item in step.todo():
+            step.make(item)
+        step.finish()
+    whole = Window(0, 0, *MAP.surface.shape)
+    u, v = np.meshgrid(*MAP.surface.places(whole))
+    inside = np.hypot(u - centre[0], v - centre[1]) < radius - 0.2
+    with rasterio.open(work.path("ortho.tif")) as raster:
+        rgba = raster.read()
+    assert np.isnan(work.heights(whole)[inside]).all()  # the surface model does not say that it is known
+    assert least <= (rgba[3] > 0)[inside].mean() <= most
+    drawn = inside & (rgba[3] > 0) & (np.abs(u / CHECK % 1 - 0.5) < 0.35) & (np.abs(v / CHECK % 1 - 0.5) < 0.35)
+    off = np.abs(rgba[:3].transpose(1, 2, 0).astype(int) - colour(u, v, in_box(u, v))).max(axis=-1)
+    assert not least or np.percentile(off[drawn], 95) < 25
+    assert (rgba[3] > 0)[~np.isnan(work.heights(whole))].mean() > 0.95
 
 
 def test_a_path_without_motion_is_an_error_that_says_so(made, monkeypatch):

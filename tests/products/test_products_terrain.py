@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 
 import terrain_world as world
 from terrain_world import NOISE_M, PIXEL
-from tiegraph.pipeline import products as glue
 from tiegraph.pipeline.products import TerrainWork
-from tiegraph.products.raster import Place, read_window
+from tiegraph.products.raster import Place, read_window, write_lines
 from tiegraph.products.surface import Window
 from tiegraph.products.terrain import contour_lines, equidistance
 from tiegraph.products.tuning import ContourTuning, Tuning
@@ -172,7 +171,7 @@ def test_heights_too_scattered_for_planes_have_no_lines():
 
 def drawn(folder):
     lines = contour_lines(hill() + 40, np.full(X.shape, 0.02), (PLACES[0] + 388_800, PLACES[1] + 3_951_200), 1, TUNING)
-    return glue._write_lines(folder / "contours.gpkg", lines, world.surface(), Place(world.ORIGIN)), lines
+    return write_lines(folder / "contours.gpkg", lines, world.surface(), Place(world.ORIGIN)), lines
 
 
 @pytest.mark.slow
@@ -201,5 +200,5 @@ def test_without_pyogrio_it_is_geojson_in_degrees(tmp_path, monkeypatch):
     east, north = pyproj.Transformer.from_crs(4326, 32654, always_xy=True).transform(lon, lat)
     np.testing.assert_allclose(np.c_[east, north], lines[0].uv, atol=1e-3)
     assert data["features"][0]["properties"]["elevation_m"] == lines[0].w
-    nowhere = glue._write_lines(tmp_path / "a.gpkg", lines, world.surface(), Place(None))
+    nowhere = write_lines(tmp_path / "a.gpkg", lines, world.surface(), Place(None))
     assert "pyogrio" in nowhere and not (tmp_path / "a.geojson").exists()

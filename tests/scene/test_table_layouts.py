@@ -82,6 +82,8 @@ BY_IMAGE = {
     ";I 2.JPG;46°30'0,036\"N;126°15'0,072\"E;540,4\n",
     "tabs before all, and an index": "\t\timage\tlat\tlon\taltitude_msl\n\t0\tI 1.JPG\t46.5\t126.25\t539.9\n"
     "\t1\tI 2.JPG\t46.50001\t126.25002\t540.4\n",
+    "a flight log": "utc,timestamp,lat,lon,alt_msl,image\n2026-01-13 03:05:44+00:00,1,46.5,126.25,539.9,I 1.JPG\n"
+    "2026-01-13 03:05:47+00:00,2,46.50001,126.25002,540.4,I 2.JPG\n",
     "blank lines, trailing delimiters, quotes": "\n\nimage,lat,lon,height,\n\n\"I 1.JPG\",46.5,126.25,539.9,\n"
     "# a pause\n\nI 2.JPG,46.50001,126.25002,540.4,\n,,,,\n",
 }  # fmt: skip

@@ -11,15 +11,24 @@ import numpy as np
 from laspy import LasHeader, ScaleAwarePointRecord
 
 from tiegraph import plugins
-from tiegraph.errors import EngineMissing, ReconstructionError
+from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.pipeline.dense import Pictures, accuracy_said, known_depth
 from tiegraph.pipeline.files import CLOUD, checked, load_npz, reading, save_npz, world_origin, world_unit
 from tiegraph.products import ortho, terrain
 from tiegraph.products.heights import height_tile, margin
-from tiegraph.products.raster import PICTURE_PX, Place, hangs, hillshade, overview, read_window, relief, write_raster
+from tiegraph.products.raster import (
+    PICTURE_PX,
+    Place,
+    hangs,
+    hillshade,
+    overview,
+    read_window,
+    relief,
+    write_lines,
+    write_raster,
+)
 from tiegraph.products.surface import Surface, Survey, Window, choose
 from tiegraph.products.tuning import Tuning
 from tiegraph.project.run import Run
@@ -29,7 +38,6 @@ from tiegraph.scene.cloudfile import las_header, las_points, shift_of, write_rec
 from tiegraph.scene.copc import copc_box, copc_sample
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 from tiegraph.text import csv_text
 
 FOLDER = "products"
@@ -53,13 +61,15 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class OnSurface:
-    """The files of one surface below a run folder, made by tiles of so many pixels along their edge."""
+    """The files of one surface below a run folder, made by tiles of so many pixels along their edge; below objects of
+    up to so many metres the terrain of a map is interpolated, to half of that."""
 
     folder: Path
     surface: Surface
     place: Place
     tuning: Tuning
     tile: int
+    objects_m: float
 
     @property
     def windows(self) -> list[Window]:
@@ -79,6 +89,32 @@ class OnSurface:
         """A step whose items leave files of a kind, and whose last file has a name."""
         where = partial(self.scratch, kind)
         return Step(items=items, artefact=where, make=make, finish=finish, result=self.path(result))
+
+    @cached_property
+    def cell(self) -> int:
+        """Pixels along a cell."""
+        return terrain.step_of(self.surface.shape, self.surface.pixel_m, self.tuning.terrain)
+
+    @cached_property
+    def reach(self) -> int:
+        """Cells to which a surface is interpolated."""
+        return int(np.ceil(self.widest_m / 2 / (self.cell * self.surface.pixel_m)))
+
+    @property
+    def widest_m(self) -> float:
+        """Width of an object at most: no more than half of the map."""
+        return min(self.objects_m, min(self.surface.shape) * self.surface.pixel_m / 2)
+
+    def keep_cells(self, kind: str, w: np.ndarray, sigma: np.ndarray, known: np.ndarray) -> None:
+        """Interpolate a surface through cells (rows, columns), NaN = not of it, within those that ``known`` ones
+        surround."""
+        found = terrain.through(w, sigma, self.cell, self.reach, terrain.footprint(known))
+        save_npz(self.scratch(f"{kind}_cells", 0), **vars(found))
+
+    def kept_cells(self, kind: str) -> terrain.Terrain:
+        """The same as it was kept."""
+        found = load_npz(self.scratch(f"{kind}_cells", 0))
+        return terrain.Terrain(step=int(found["step"]), w=found["w"], sigma=found["sigma"], known=found["known"])
 
     def heights(self, window: Window, step: int = 1) -> np.ndarray:
         """w of a window or its blocks, as written."""
@@ -103,15 +139,11 @@ class OnSurface:
 
 
 _DONE = "dtm.jpg"  # the last file
-_LINE = {"line_color": "150,90,40,255", "line_width": "0.15", "line_width_unit": "MM"}
-_STYLE = style("SimpleLine", 1.0, _LINE, by=("outlineWidth", "if(&quot;index&quot;, 0.4, 0.15)"))
 
 
 @dataclass(frozen=True, eq=False)
 class TerrainWork(OnSurface):
-    """The terrain model of a map and its contour lines, below objects of up to so many metres."""
-
-    objects_m: float
+    """The terrain model of a map and its contour lines."""
 
     def steps(self) -> list[Step]:
         return [
@@ -119,16 +151,6 @@ class TerrainWork(OnSurface):
             self.step(self.windows, "ground", self.make_ground, self.finish_ground, _DONE),
             self.step(self.windows, "terrain", self.make_terrain, self.finish_terrain, _DONE),
         ]
-
-    @cached_property
-    def cell(self) -> int:
-        """Pixels along a cell."""
-        return terrain.step_of(self.surface.shape, self.surface.pixel_m, self.tuning.terrain)
-
-    @cached_property
-    def reach(self) -> int:
-        """Cells to which terrain is interpolated."""
-        return int(np.ceil(self.objects_m / 2 / (self.cell * self.surface.pixel_m)))
 
     def make_low(self, window: Window) -> None:
         """Heights of the cells of a tile, low ones, and their sigma."""
@@ -141,17 +163,15 @@ class TerrainWork(OnSurface):
         low, sigma = (self._whole("low", name, self.cell) for name in ("low", "sigma"))
         noise = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else 0.0
         cell_m = self.cell * self.surface.pixel_m
-        found = terrain.bare(low, noise, cell_m, self.objects_m, self.tuning.terrain)
-        within = terrain.footprint(np.isfinite(low))
-        known = np.where(np.isfinite(found), noise, np.nan)
-        self._keep("low", terrain.through(found, known, self.cell, self.reach, within))
+        found = terrain.bare(low, noise, cell_m, self.widest_m, self.tuning.terrain)
+        self.keep_cells("low", found, np.where(np.isfinite(found), noise, np.nan), np.isfinite(low))
 
     def make_ground(self, window: Window) -> None:
         """Heights of the cells of a tile by their pixels on the ground."""
         wide = self.tuning.terrain.rim_px + 1
         around = window.grown(wide)
         w, sigma = self.heights(around), self.read("sigma", around)
-        on_ground = terrain.ground(w, sigma, self._kept("low"), around, self.tuning.terrain)
+        on_ground = terrain.ground(w, sigma, self.kept_cells("low"), around, self.tuning.terrain)
         inner = slice(wide, -wide), slice(wide, -wide)
         found = terrain.ground_cells(w[inner], sigma[inner], on_ground[inner], self.cell)
         save_npz(self.scratch("ground", window), w=found[0], sigma=found[1])
@@ -159,14 +179,15 @@ class TerrainWork(OnSurface):
     def finish_ground(self) -> None:
         """The terrain through the cells on the ground."""
         w, sigma = (self._whole("ground", name, self.cell) for name in ("w", "sigma"))
-        within = terrain.footprint(np.isfinite(self._whole("low", "low", self.cell)))
-        self._keep("ground", terrain.through(w, sigma, self.cell, self.reach, within))
+        self.keep_cells("ground", w, sigma, np.isfinite(self._whole("low", "low", self.cell)))
 
     def make_terrain(self, window: Window) -> None:
         """Heights of the terrain of a tile, their sigma, and both by the cells in which contour lines are drawn."""
         around = window.grown(terrain.margin(self.cell, self.tuning.terrain))
         w, sigma = self.heights(around), self.read("sigma", around)
-        w, sigma = terrain.terrain_tile(w, sigma, self._kept("low"), self._kept("ground"), window, self.tuning.terrain)
+        w, sigma = terrain.terrain_tile(
+            w, sigma, self.kept_cells("low"), self.kept_cells("ground"), window, self.tuning.terrain
+        )
         drawn = terrain.ground_cells(w, sigma, np.isfinite(w), self._drawn)
         dtm = self.surface.heights(w)
         save_npz(self.scratch("terrain", window), dtm=dtm, sigma=sigma, drawn=drawn[0], drawn_sigma=drawn[1])
@@ -205,7 +226,7 @@ class TerrainWork(OnSurface):
         lines = terrain.contour_lines(w, sigma, (u, v), every, tuning)
         said = "none, because the known heights of the terrain are too few and scattered, or all equal"
         if lines:
-            written = _write_lines(self.path("contours.gpkg"), lines, surface, self.place)
+            written = write_lines(self.path("contours.gpkg"), lines, surface, self.place)
             levels = len({line.w for line in lines})
             said = f"{len(lines)} lines at {levels} heights, {every:g} m apart ({written})"
         save_npz(self.scratch("contours", 0), said=said)
@@ -223,38 +244,6 @@ class TerrainWork(OnSurface):
             row, column = window.row // step, window.column // step
             out[row : row + values.shape[0], column : column + values.shape[1]] = values
         return out
-
-    def _keep(self, kind: str, found: terrain.Terrain) -> None:
-        save_npz(self.scratch(f"{kind}_cells", 0), **vars(found))
-
-    def _kept(self, kind: str) -> terrain.Terrain:
-        found = load_npz(self.scratch(f"{kind}_cells", 0))
-        return terrain.Terrain(step=int(found["step"]), w=found["w"], sigma=found["sigma"], known=found["known"])
-
-
-def _write_lines(path: Path, lines: list[terrain.Line], surface: Surface, place: Place) -> str:
-    """Write contour lines as a GeoPackage in the CRS of the map with a style for QGIS, or as GeoJSON in degrees where
-    pyogrio is missing; the name of the file, or why there is none."""
-    places = [np.c_[line.uv, np.full(len(line.uv), line.w)] for line in lines]
-    try:
-        raw = gdal("contours.gpkg", "")
-    except EngineMissing:
-        if place.origin is None:
-            return "not written: that needs pyogrio, pip install 'tiegraph[gis]'"
-        shift, origin = np.asarray(place.origin.shift_m), place.origin
-        path = path.with_suffix(".geojson")
-        turned = [geodetic_from_world(xyz - shift, origin)[:, [1, 0, 2]] for xyz in places]
-        write_atomic(path, collection(_features(lines, [np.round(xyz, 9) for xyz in turned])))
-        return path.name
-    with replacing(path) as temporary:
-        write_layer(raw, temporary, "contours", _features(lines, places), place.crs(surface).to_wkt())
-        write_styles(raw, temporary, {"contours": _STYLE})
-    return path.name
-
-
-def _features(lines: list[terrain.Line], places: list[np.ndarray]) -> Layer:
-    about = [{"elevation_m": line.w, "index": line.index, "sigma_m": round(line.sigma, 4)} for line in lines]
-    return [feature("LineString", xyz, values) for xyz, values in zip(places, about)]
 
 
 TILE = 1024
@@ -277,10 +266,9 @@ def products(run: Run) -> Outcome:
     water = run.receipts.read("refine")["counts"].get("water_height")
     survey = Survey(sample, views, counted["voxel"], shift=shift, unit=place.unit, path=path, water=water)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
-    about = {"place": place, "tuning": tuning, "tile": TILE}
+    about = {"place": place, "tuning": tuning, "tile": TILE, "objects_m": run.settings.products.objects_m}
     work = [_Work(run.folder, s, **about, pictures=pictures) for s in surfaces]
-    objects_m = run.settings.products.objects_m
-    bare = [TerrainWork(run.folder, s, **about, objects_m=objects_m) for s in surfaces if place.has_terrain(s)]
+    bare = [TerrainWork(run.folder, s, **about) for s in surfaces if place.has_terrain(s)]
     steps = [step for each in (*work, *bare) for step in each.steps()]
     run.reporter.total(sum(len(s.items) for s in steps), sum(len(s.items) - len(s.todo()) for s in steps))
     for step in steps:
@@ -322,8 +310,10 @@ class _Work(OnSurface):
 
     def steps(self) -> list[Step]:
         windows, images = self.windows, list(range(len(self.pictures.views)))
+        covers = [0] if self.place.has_terrain(self.surface) else []
         return [
             self.step(windows, "heights", self.make_heights, self.finish_heights, "dsm.jpg"),
+            self.step(covers, "cover_cells", self.make_cover, lambda: None, "source.tif"),
             self.step(images, "view", self.make_view, self.finish_views, "source.tif"),
             self.step(windows, "colours", self.make_colours, self.finish_colours, "source.tif"),
         ]
@@ -343,6 +333,25 @@ class _Work(OnSurface):
         self.write("hillshade", ((w, hillshade(h, self.surface.pixel_m)) for w, h in shades))
         write_atomic(self.path("dsm.jpg"), relief(self.path("dsm.tif"), PICTURE_PX, self.place.unit))
 
+    def make_cover(self, _: int) -> None:
+        """The surface of a map in cells without holes."""
+        whole = Window(0, 0, rows=self.surface.shape[0], columns=self.surface.shape[1])
+        w, sigma = self.heights(whole, self.cell), self.read("sigma", whole, self.cell)
+        self.keep_cells("cover", w, sigma, np.isfinite(w))
+
+    @cached_property
+    def _cover(self) -> terrain.Terrain | None:
+        return self.kept_cells("cover") if self.place.has_terrain(self.surface) else None
+
+    def covered(self, window: Window, step: int = 1) -> np.ndarray:
+        """w of a window or its blocks for the orthophoto, which has no holes: where the surface of a map is not known,
+        such as in trees, the one that is interpolated through what is known of it."""
+        w = self.heights(window, step)
+        if self._cover is None:
+            return w
+        level, _, known = self._cover.at(window, step)
+        return np.where(np.isnan(w) & known, level, w)
+
     def make_view(self, k: int) -> None:
         """The part of the surface that an image sees, and its colours there for the exposures; nothing if none."""
         view, tuning, kept = self.pictures.views[k], self.tuning.ortho, self.scratch("view", k)
@@ -350,11 +359,11 @@ class _Work(OnSurface):
             return save_npz(kept)
         rgb, mask = self.pictures.picture(k)
         own = known_depth(view.name, self.folder)
-        buffer = ortho.draw(view, self.surface, self.heights, mask, own, tuning)
+        buffer = ortho.draw(view, self.surface, self.covered, mask, own, tuning)
         if buffer is None:
             return save_npz(kept)
         block = ortho.block_px(len(self.pictures.views))
-        found = ortho.patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
+        found = ortho.patch(view, buffer, rgb, self.surface, self.covered, block=block, tuning=tuning)
         if found is None:
             return save_npz(kept)
         save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
@@ -371,14 +380,15 @@ class _Work(OnSurface):
 
     def make_colours(self, window: Window) -> None:
         around = window.grown(ortho.ortho_margin(self.tuning.ortho))
-        sigma = self.read("sigma", around)
+        heights, sigma = self.covered(around), self.read("sigma", around)
+        if self._cover is not None:
+            sigma = np.where(np.isnan(sigma), self._cover.at(around)[1], sigma)
         images = ortho.Images(
             views=self.pictures.views,
             buffer=lambda k: self._kept(k, ortho.Buffer, "buffer_"),
             picture=lambda k: self.pictures.picture(k)[0],
             gains=load_npz(self.scratch("gains", 0))["gains"],
         )
-        heights = self.heights(around)
         rgba, source = ortho.ortho_tile(self.surface, window, heights, sigma, images, self.tuning.ortho)
         save_npz(self.scratch("colours", window), ortho=rgba, source=source)
 

@@ -1,6 +1,7 @@
 """Cloud Optimized GeoTIFFs of the rasters over a reference surface, written window by window.
 
-And small pictures of them, as `report.html` shows them: the orthophoto, and heights as colours in relief.
+Contour lines as a GeoPackage. And small pictures of rasters, as `report.html` shows them: the orthophoto, and heights
+as colours in relief.
 """
 
 import json
@@ -15,12 +16,14 @@ import rasterio.shutil
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.windows import Window as Part
 
+from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
-from tiegraph.geometry.geodesy import ENU, Origin, parse_crs
+from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, parse_crs
 from tiegraph.limits import need_room
 from tiegraph.products.surface import MAP, NODATA, Surface, Window
 from tiegraph.products.terrain import Line
 from tiegraph.scene.atomic import remove, replacing
+from tiegraph.scene.vectors import Layer, collection, feature, gdal, style, write_layer, write_styles
 from tiegraph.text import round_above
 
 _BLOCK = 512  # pixels along the edge of a block of the file
@@ -33,6 +36,8 @@ _FONT, _LETTERS = cv2.FONT_HERSHEY_SIMPLEX, 0.5
 _BITS = 4  # of a pixel's fraction, in OpenCV's coordinates
 _LABELLED_PX = 160  # an index line of this length has its height beside it
 _INK = (40, 40, 40)
+_LINE = {"line_color": "150,90,40,255", "line_width": "0.15", "line_width_unit": "MM"}
+_STYLE = style("SimpleLine", 1.0, _LINE, by=("outlineWidth", "if(&quot;index&quot;, 0.4, 0.15)"))
 
 
 @dataclass(frozen=True)
@@ -260,3 +265,29 @@ def _scale(width: int, low: float, high: float, unit: str) -> np.ndarray:
         text = f"{low + share * (high - low):.{digits}f}{f' {unit}' if k == steps - 1 else ''}"
         _write(strip, text, np.array([round(share * width), 32]))
     return strip
+
+
+def write_lines(path: Path, lines: Sequence[Line], surface: Surface, place: Place) -> str:
+    """Write contour lines as a GeoPackage in the CRS of the map with a style for QGIS, or as GeoJSON in degrees where
+    pyogrio is missing; the name of the file, or why there is none."""
+    places = [np.c_[line.uv, np.full(len(line.uv), line.w)] for line in lines]
+    try:
+        raw = gdal("contours.gpkg", "")
+    except EngineMissing:
+        if place.origin is None:
+            return "not written: that needs pyogrio, pip install 'tiegraph[gis]'"
+        shift, origin = np.asarray(place.origin.shift_m), place.origin
+        path = path.with_suffix(".geojson")
+        turned = [geodetic_from_world(xyz - shift, origin)[:, [1, 0, 2]] for xyz in places]
+        with replacing(path) as temporary:
+            temporary.write_text(collection(_features(lines, [np.round(xyz, 9) for xyz in turned])), encoding="utf-8")
+        return path.name
+    with replacing(path) as temporary:
+        write_layer(raw, temporary, "contours", _features(lines, places), place.crs(surface).to_wkt())
+        write_styles(raw, temporary, {"contours": _STYLE})
+    return path.name
+
+
+def _features(lines: Sequence[Line], places: list[np.ndarray]) -> Layer:
+    about = [{"elevation_m": line.w, "index": line.index, "sigma_m": round(line.sigma, 4)} for line in lines]
+    return [feature("LineString", xyz, values) for xyz, values in zip(places, about)]

@@ -28,6 +28,7 @@ from tiegraph.text import round_above
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
+_ACROSS = 80  # cells along the shorter side of a map at least, where that has so many pixels
 _JOINED = 2  # cells; twice that is a gap that is closed
 _EVEN = 2.0  # cells over which interpolated terrain is smoothed: where holes of two sizes meet it steps
 _INDEX = 5  # every so many lines one is an index line, drawn thick
@@ -45,23 +46,24 @@ class Terrain:
     sigma: np.ndarray
     known: np.ndarray
 
-    def at(self, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """w, sigma f4 and known bool at the pixels of a window, between the centres of the cells."""
+    def at(self, window: Window, step: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """w, sigma f4 and known bool at the pixels of a window, or its blocks of ``step`` pixels, between the centres
+        of the cells."""
         rows, columns = (
-            ((start + np.arange(count) + 0.5) / self.step - 0.5).astype(np.float32)
+            ((start + (np.arange(-(-count // step)) + 0.5) * step) / self.step - 0.5).astype(np.float32)
             for start, count in ((window.row, window.rows), (window.column, window.columns))
         )
         x, y = np.meshgrid(columns, rows)
         w, sigma = (cv2.remap(v, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for v in (self.w, self.sigma))
-        known = cv2.remap(self.known.astype(np.uint8), x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-        return w, sigma, known > 0
+        known = cv2.remap(self.known.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return w, sigma, known >= 0.5
 
 
 def step_of(shape: tuple[int, int], pixel_m: float, tuning: TerrainTuning) -> int:
-    """Pixels along a cell, a power of two: the most within the wanted size of a cell, or more, so that the
-    whole grid (rows, columns of pixels) does not have too many."""
-    step = 1
-    while 2 * step * pixel_m <= tuning.cell_m * 1.0001 or shape[0] * shape[1] > MOST_CELLS * step**2:
+    """Pixels along a cell, a power of two: the most within the wanted size of a cell, less on a small map such as an
+    excavation, or more, so that the whole grid (rows, columns of pixels) does not have too many."""
+    step, wanted = 1, min(tuning.cell_m, min(shape) * pixel_m / _ACROSS)
+    while 2 * step * pixel_m <= wanted * 1.0001 or shape[0] * shape[1] > MOST_CELLS * step**2:
         step *= 2
     return step
 
