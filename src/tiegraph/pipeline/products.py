@@ -29,7 +29,7 @@ from tiegraph.products.raster import (
     write_lines,
     write_raster,
 )
-from tiegraph.products.surface import Surface, Survey, Window, choose
+from tiegraph.products.surface import MAP, Surface, Survey, Window, choose
 from tiegraph.products.tuning import Tuning
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, save_json, write_atomic
@@ -93,7 +93,7 @@ class OnSurface:
     @cached_property
     def cell(self) -> int:
         """Pixels along a cell."""
-        return terrain.step_of(self.surface.shape, self.surface.pixel_m, self.tuning.terrain)
+        return terrain.step_of(self.surface.shape, self.surface.pixel_m, self.widest_m)
 
     @cached_property
     def reach(self) -> int:
@@ -266,7 +266,8 @@ def products(run: Run) -> Outcome:
     water = run.receipts.read("refine")["counts"].get("water_height")
     survey = Survey(sample, views, counted["voxel"], shift=shift, unit=place.unit, path=path, water=water)
     surfaces, notes = choose(survey, run.settings.products, tuning.choose)
-    about = {"place": place, "tuning": tuning, "tile": TILE, "objects_m": run.settings.products.objects_m}
+    objects_m = run.settings.products.objects_m if place.unit == "m" else np.inf
+    about = {"place": place, "tuning": tuning, "tile": TILE, "objects_m": objects_m}
     work = [_Work(run.folder, s, **about, pictures=pictures) for s in surfaces]
     bare = [TerrainWork(run.folder, s, **about) for s in surfaces if place.has_terrain(s)]
     steps = [step for each in (*work, *bare) for step in each.steps()]
@@ -310,7 +311,7 @@ class _Work(OnSurface):
 
     def steps(self) -> list[Step]:
         windows, images = self.windows, list(range(len(self.pictures.views)))
-        covers = [0] if self.place.has_terrain(self.surface) else []
+        covers = [0] if self.surface.name == MAP else []
         return [
             self.step(windows, "heights", self.make_heights, self.finish_heights, "dsm.jpg"),
             self.step(covers, "cover_cells", self.make_cover, lambda: None, "source.tif"),
@@ -341,11 +342,10 @@ class _Work(OnSurface):
 
     @cached_property
     def _cover(self) -> terrain.Terrain | None:
-        return self.kept_cells("cover") if self.place.has_terrain(self.surface) else None
+        return self.kept_cells("cover") if self.surface.name == MAP else None
 
     def covered(self, window: Window, step: int = 1) -> np.ndarray:
-        """w of a window or its blocks for the orthophoto, which has no holes: where the surface of a map is not known,
-        such as in trees, the one that is interpolated through what is known of it."""
+        """w of a window or its blocks for the orthophoto: in holes of a map, such as trees, w of its cover."""
         w = self.heights(window, step)
         if self._cover is None:
             return w

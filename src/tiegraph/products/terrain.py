@@ -28,7 +28,7 @@ from tiegraph.text import round_above
 
 MOST_CELLS = 4_000_000
 """Cells of the whole grid at most: some 0.5 GB while holes are filled. Larger maps have larger cells."""
-_ACROSS = 80  # cells along the shorter side of a map at least, where that has so many pixels
+_ACROSS = 40  # cells across the widest object at least, where that has so many pixels
 _JOINED = 2  # cells; twice that is a gap that is closed
 _EVEN = 2.0  # cells over which interpolated terrain is smoothed: where holes of two sizes meet it steps
 _INDEX = 5  # every so many lines one is an index line, drawn thick
@@ -59,11 +59,11 @@ class Terrain:
         return w, sigma, known >= 0.5
 
 
-def step_of(shape: tuple[int, int], pixel_m: float, tuning: TerrainTuning) -> int:
-    """Pixels along a cell, a power of two: the most within the wanted size of a cell, less on a small map such as an
-    excavation, or more, so that the whole grid (rows, columns of pixels) does not have too many."""
-    step, wanted = 1, min(tuning.cell_m, min(shape) * pixel_m / _ACROSS)
-    while 2 * step * pixel_m <= wanted * 1.0001 or shape[0] * shape[1] > MOST_CELLS * step**2:
+def step_of(shape: tuple[int, int], pixel_m: float, widest_m: float) -> int:
+    """Pixels along a cell, a power of two: the most of which ``_ACROSS`` lie across the widest object, or more, so that
+    the whole grid (rows, columns of pixels) does not have too many."""
+    step = 1
+    while 2 * step * pixel_m <= widest_m / _ACROSS * 1.0001 or shape[0] * shape[1] > MOST_CELLS * step**2:
         step *= 2
     return step
 

@@ -55,8 +55,6 @@ class TerrainTuning(Section):
     """The terrain below what stands on it (`terrain.py`): cell, slope and height above ground are those of PDAL's
     filters.smrf, the same filter."""
 
-    cell_m: float = Field(1.0, gt=0)
-    """Cells in which ground is looked for are at most this large."""
     lowest: float = Field(0.1, ge=0, le=0.5)
     """Height of a cell: the quantile of its pixels. Their minimum would be a stray or the noise; a tenth of a cell is a
     gap between leaves."""
