@@ -344,12 +344,12 @@ class _Work(OnSurface):
     def _cover(self) -> terrain.Terrain | None:
         return self.kept_cells("cover") if self.surface.name == MAP else None
 
-    def covered(self, window: Window, step: int = 1) -> np.ndarray:
-        """w of a window or its blocks for the orthophoto: in holes of a map, such as trees, w of its cover."""
-        w = self.heights(window, step)
+    def covered(self, window: Window) -> np.ndarray:
+        """w of a window for the orthophoto: in holes of a map, such as trees, w of its cover."""
+        w = self.heights(window)
         if self._cover is None:
             return w
-        level, _, known = self._cover.at(window, step)
+        level, _, known = self._cover.at(window)
         return np.where(np.isnan(w) & known, level, w)
 
     def make_view(self, k: int) -> None:
@@ -359,11 +359,11 @@ class _Work(OnSurface):
             return save_npz(kept)
         rgb, mask = self.pictures.picture(k)
         own = known_depth(view.name, self.folder)
-        buffer = ortho.draw(view, self.surface, self.covered, mask, own, tuning)
+        buffer = ortho.draw(view, self.surface, self.heights, mask, own, tuning)
         if buffer is None:
             return save_npz(kept)
         block = ortho.block_px(len(self.pictures.views))
-        found = ortho.patch(view, buffer, rgb, self.surface, self.covered, block=block, tuning=tuning)
+        found = ortho.patch(view, buffer, rgb, self.surface, self.heights, block=block, tuning=tuning)
         if found is None:
             return save_npz(kept)
         save_npz(kept, **{f"buffer_{n}": v for n, v in vars(buffer).items()}, **vars(found))
@@ -381,13 +381,12 @@ class _Work(OnSurface):
     def make_colours(self, window: Window) -> None:
         around = window.grown(ortho.ortho_margin(self.tuning.ortho))
         heights, sigma = self.covered(around), self.read("sigma", around)
-        if self._cover is not None:
-            sigma = np.where(np.isnan(sigma), self._cover.at(around)[1], sigma)
         images = ortho.Images(
             views=self.pictures.views,
             buffer=lambda k: self._kept(k, ortho.Buffer, "buffer_"),
             picture=lambda k: self.pictures.picture(k)[0],
             gains=load_npz(self.scratch("gains", 0))["gains"],
+            whole=self.surface.name == MAP,
         )
         rgba, source = ortho.ortho_tile(self.surface, window, heights, sigma, images, self.tuning.ortho)
         save_npz(self.scratch("colours", window), ortho=rgba, source=source)

@@ -22,6 +22,7 @@ _SMOOTH = 3  # blocks over which the slope of the surface is taken
 _COVER = 2.0  # raster pixels in one of the buffer, whose pixels are as far apart as the points that are drawn
 _AGREE = 7  # blocks for the share of those whose depth the image confirms
 _LOOK = 16  # raster pixels between those that give the distance of the surface, and the most between points
+_ANYWHERE = 1e9  # a sigma of w with which nothing hides a pixel
 _BLOCKS = 2  # raster pixels along the edge of the blocks that are of one image, no larger than a pixel of a buffer
 _TILE = 1024  # raster pixels along the edge of what is drawn at once, ...
 _PIECE = 128  # ... and of the pieces of it that an image may see
@@ -31,8 +32,6 @@ Heights = Callable[[Window, int], np.ndarray]
 _BLOCK, _FEW = 8, 500  # raster pixels along the edge of blocks whose colours tell exposures, of so many images ...
 _MOST = 10_000  # ... and images whose exposures are told at all: a matrix of them all is solved
 
-Pictures = Callable[[int], np.ndarray]
-"""RGB (H, W, 3) u1 of a view by its number."""
 Seen = tuple[np.ndarray, float]
 """Of an image in a window: which of its blocks it sees, and its ``Buffer.fine``."""
 
@@ -253,13 +252,15 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of an orthophoto: views, a buffer (None = sees nothing) and a picture of each by its number, and gains
-    (N, 3) of their channels."""
+    """The images of an orthophoto: views, a buffer (None = sees nothing) and RGB (H, W, 3) u1 of each by its number,
+    gains (N, 3) of their channels, and whether what none is judged to see, such as rough crowns, is made of the best
+    one that has it in its frame."""
 
     views: Sequence[Pinhole]
     buffer: Callable[[int], Buffer | None]
-    picture: Pictures
+    picture: Callable[[int], np.ndarray]
     gains: np.ndarray
+    whole: bool = False
 
 
 def block_px(images: int) -> int:
@@ -334,17 +335,21 @@ def ortho_tile(
     ground = Ground.of(surface, around, lowest, sigma[::_BLOCKS, ::_BLOCKS], _BLOCKS)
     best, source = np.zeros(lowest.shape, np.float32), np.zeros(lowest.shape, np.uint16)
     seen: dict[int, Seen] = {}
-    for k, view in enumerate(images.views):
-        where = pieces.seen_by(view) if meets(view, surface, around) else (slice(0, 0), slice(0, 0))
-        buffer = images.buffer(k) if best[where].size else None
-        if buffer is None:
-            continue
-        found = score(view, buffer, ground.part(where), surface, tuning)
-        better = found > best[where]
-        if better.any():
-            seen[k] = np.zeros(best.shape, bool), buffer.fine
-            seen[k][0][where] = found > 0
-            best[where][better], source[where][better] = found[better], k + 1
+    left = np.isfinite(lowest)
+    for anywhere in (False, True)[: 1 + images.whole]:
+        tried = replace(ground, sigma=np.full(best.shape, _ANYWHERE)) if anywhere else ground
+        for k, view in enumerate(images.views):
+            where = pieces.seen_by(view) if meets(view, surface, around) else (slice(0, 0), slice(0, 0))
+            buffer = images.buffer(k) if left[where].any() else None
+            if buffer is None:
+                continue
+            found = np.where(left[where], score(view, buffer, tried.part(where), surface, tuning), 0)
+            better = found > best[where]
+            if better.any():
+                own, _ = seen.setdefault(k, (np.zeros(best.shape, bool), buffer.fine))
+                own[where] |= found > 0
+                best[where][better], source[where][better] = found[better], k + 1
+        left &= best == 0
     source = np.where(np.isfinite(heights), _pixels(source, heights.shape), 0).astype(np.uint16)
     xyz = surface.frame.in_world(*np.meshgrid(*surface.places(around)), heights)
     rgb = _blended(xyz, source, seen, images, tuning)

@@ -46,11 +46,10 @@ class Terrain:
     sigma: np.ndarray
     known: np.ndarray
 
-    def at(self, window: Window, step: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """w, sigma f4 and known bool at the pixels of a window, or its blocks of ``step`` pixels, between the centres
-        of the cells."""
+    def at(self, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """w, sigma f4 and known bool at the pixels of a window, between the centres of the cells."""
         rows, columns = (
-            ((start + (np.arange(-(-count // step)) + 0.5) * step) / self.step - 0.5).astype(np.float32)
+            ((start + np.arange(count) + 0.5) / self.step - 0.5).astype(np.float32)
             for start, count in ((window.row, window.rows), (window.column, window.columns))
         )
         x, y = np.meshgrid(columns, rows)
