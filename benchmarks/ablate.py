@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.variants import Book, Variant, load, median, run, spread
 
 BASE = Variant("base")
-_RIGID = {"confront": {"held_to_m": 1e9}, "diagnostics": {"min_scatter_px": 1e9, "min_sightings": 10**9}}
+_RIGID = {"prior_test": {"held_to_m": 1e9}, "diagnostics": {"min_scatter_px": 1e9, "min_kept": 0}}
 VARIANTS = (
     Variant("rig check off", {"tuning": {"network": {"rig": {"frames": 0}}}}, "given order believed"),
     Variant("offsets constant", {"candidates": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),

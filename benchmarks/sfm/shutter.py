@@ -28,7 +28,7 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     there = found.there(tuning.shutter)
     return {
         "set": set_name, "readout_ms": round(1000 * found.seconds, 2), "sigma_ms": round(1000 * found.sigma, 2),
-        "gain": round(found.gain, 5), "told": there, "used": there and found.clear(tuning.shutter),
+        "gain": round(found.gain, 5), "told": there, "used": there and found.clear(tuning),
     }  # fmt: skip
 
 

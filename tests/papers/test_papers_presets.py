@@ -32,7 +32,6 @@ from tiegraph.papers.meguro2025 import bright_share, brightness_counts, light
 from tiegraph.project.settings import Settings, merged, preset
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
-from tiegraph.sfm.tuning import TwoViewTuning
 
 DEFAULT = Settings()
 # setting: of a paper, of the default
@@ -340,7 +339,7 @@ def matches(base: float, noise_px: float, seed: int = 0) -> tuple[np.ndarray, np
 
 
 def test_good_matches_hardly_move_and_the_range_is_in_bases() -> None:
-    found = two_view(*matches(2.0, 0.0), CAMERA, CAMERA, TwoViewTuning())
+    found = two_view(*matches(2.0, 0.0), CAMERA, CAMERA, 2.5)
     assert found is not None
     assert found[0] < 1e-3 and 4.5 < found[1] < 6.0  # about 10.5 / 2
 
@@ -348,7 +347,7 @@ def test_good_matches_hardly_move_and_the_range_is_in_bases() -> None:
 @pytest.mark.slow
 def test_noise_and_short_bases_move_more() -> None:
     def moved(base: float, noise: float) -> float:
-        found = [two_view(*matches(base, noise, s), CAMERA, CAMERA, TwoViewTuning()) for s in range(7)]
+        found = [two_view(*matches(base, noise, s), CAMERA, CAMERA, 2.5) for s in range(7)]
         return float(np.median([f[0] for f in found if f is not None]))
 
     good, noisy, short = moved(2.0, 0.3), moved(2.0, 1.5), moved(0.3, 0.3)
@@ -357,4 +356,4 @@ def test_noise_and_short_bases_move_more() -> None:
 
 def test_too_few_matches_give_nothing() -> None:
     a, b = matches(1.0, 0.2)
-    assert two_view(a[:7], b[:7], CAMERA, CAMERA, TwoViewTuning()) is None
+    assert two_view(a[:7], b[:7], CAMERA, CAMERA, 2.5) is None

@@ -70,7 +70,7 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
     tuning = project.settings.tuning
     mapping = tuning.sfm.mapping
     assert (tuning.targets.looked_at, mapping.clearly_fewer, mapping.roughly_fewer) == (9, 0.7, 0.4)
-    assert mapping.second_survey == 10
+    assert mapping.rough_tracks == 100
     project.save()
     assert open_project(out=out).settings == project.settings
     changed_values = {"targets": {"looked_at": 9}, "sfm": {"mapping": {"clearly_fewer": 0.7, "roughly_fewer": 0.4}}}

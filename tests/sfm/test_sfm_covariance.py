@@ -377,4 +377,4 @@ def test_all_frames_are_looked_at_and_the_reduced_system_is_that_of_its_definiti
     assert np.abs(found - true).max() <= 1e-9 * np.abs(true).max()
     assert len(seen.image) == len(seen.xy) == len(seen.lever) == len(seen.residual) // 2
     assert position_sigma(model, False, False, tuning=TUNING).frame_ids == tuple(sorted(model.reg_frame_ids()))
-    assert TUNING.sigma.frames > model.num_reg_frames()
+    assert TUNING.sigma.sampled > model.num_reg_frames()

@@ -246,7 +246,7 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     moved, _ = fixes.blend(_path(frames))
     at = np.searchsorted(fine, fixes.time_s - 1e-6)
     np.testing.assert_allclose(moved[:, :3, 3], poses[at, :3, 3], atol=0.2)  # a cubic follows the curve
-    wide = fixes.widened(_path(frames), 1.0, WORLD.fixes)
+    wide = fixes.widened(_path(frames), 1.0)
     off = np.linalg.norm(moved[:, :3, 3] - poses[at, :3, 3], axis=1)
     assert np.all(off < 3 * wide.sigma[:, 0]) and np.median(wide.sigma) < 0.05
     placing = _fitted(_path(frames), scene, Measurements(rows), tuning=FINE)

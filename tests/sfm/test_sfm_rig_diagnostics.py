@@ -32,7 +32,7 @@ from tiegraph.sfm.rig.rig import derive_rig
 from tiegraph.sfm.rigcheck import Checked, FinishRequest, Held, _let_go_of_loose, checked_rig
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.placement import AgreementTuning
-from tiegraph.sfm.tuning.rig import CameraMatchesTuning, DeriveTuning, PriorTestTuning, RigTuning
+from tiegraph.sfm.tuning.rig import DeriveTuning, DiagnosticsTuning, PriorTestTuning, RigTuning
 from tiegraph.sfm.verified import VerifiedMatches, image_observations, read_verified
 from tiegraph.sfm.world.scale import rig_scale
 
@@ -91,8 +91,8 @@ def test_a_camera_that_comes_off_is_named() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
     model, scene = moving_world(loose_deg=(0, 0, 2.0), points=1500)
     rigid = _rigid(model)
-    torn = torn_off(model, rigid, scene, {}, TUNING.rig.diagnostics)
-    assert 2 in torn and torn_off(model, model, scene, {}, TUNING.rig.diagnostics) == []
+    torn = torn_off(model, rigid, scene, {}, TUNING)
+    assert 2 in torn and torn_off(model, model, scene, {}, TUNING) == []
     assert 2 in rig_diagnostics(rigid, scene, torn, 1.0, TUNING).loose
 
 
@@ -298,7 +298,7 @@ def test_two_cameras_that_fire_apart_are_told_by_their_matches(late_s: float, tm
     model, scene = moving_world(late_s=(0.0, 0.0, late_s), frames=12, points=1500)
     write_database(model, tmp_path / "database.db")
     verified, seen = read_verified(tmp_path / "database.db", scene), image_observations(model, scene, AgreementTuning())
-    rows, said = camera_matches(verified, seen, scene, CameraMatchesTuning())
+    rows, said = camera_matches(verified, seen, scene, DiagnosticsTuning())
     by = {(row[0], row[1]): row[3:] for row in rows}
     assert not by["cam0", "cam1"][2] and min(by["cam0", "cam1"][:2]) > 95
     assert by["cam0", "cam2"][2] == ("contradicts the model" if late_s else "")
@@ -307,9 +307,9 @@ def test_two_cameras_that_fire_apart_are_told_by_their_matches(late_s: float, tm
     assert all("cam2" in line and "fire at different times" in line for line in said)
     views = [replace(s, source=Source(panorama=True)) for s in scene.rigs[0].sensors]
     stitched = replace(scene, rigs=(replace(scene.rigs[0], sensors=tuple(views)),))
-    assert camera_matches(verified, seen, stitched, CameraMatchesTuning())[1] == []
+    assert camera_matches(verified, seen, stitched, DiagnosticsTuning())[1] == []
     alone = verified.where(scene.sensor[verified.pairs[:, 0]] == scene.sensor[verified.pairs[:, 1]])
-    assert camera_matches(alone, seen, scene, CameraMatchesTuning()) == ([], []), "without ties they have no opinion"
+    assert camera_matches(alone, seen, scene, DiagnosticsTuning()) == ([], []), "without ties they have no opinion"
 
 
 def test_what_a_contradicted_rig_leaves_is_said() -> None:

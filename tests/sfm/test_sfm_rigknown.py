@@ -23,7 +23,7 @@ from tiegraph.sfm.adjustment.constraints import rig_priors
 from tiegraph.sfm.adjustment.leverarmprior import _CentresCost, centres_of
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.rig import LeverArmTuning, RigPriorTuning, RigTuning
+from tiegraph.sfm.tuning.rig import LeverArmTuning, RigTuning
 
 
 def test_pair_residuals_are_in_sigmas() -> None:
@@ -58,7 +58,7 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
     """The given levers are 3 cm off: with half a millimetre of sigma they stay, with 5 cm the images decide."""
     model, scene = moving_world(frames=12)
     wrong = _with_sigma(scene, 0.5, sigma_m, shift_m=0.03)
-    known = rig_priors(model, wrong, [0], RigPriorTuning())
+    known = rig_priors(model, wrong, [0], RigTuning())
     assert len(known.sensors) == 2
     adjusted = final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust)
     found, true = model_rigs(adjusted.model, scene)[0], scene.rigs[0]
@@ -70,7 +70,7 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
 def test_a_pair_sets_baseline_and_axis() -> None:
     model, scene = moving_world(frames=12)
     pair = SensorPair(("cam1", "cam2"), 0.83, 0.0002, 90.3, 0.002)
-    known = rig_priors(model, _with_sigma(scene, 0.5, 0.05, pairs=(pair,)), [0], RigPriorTuning())
+    known = rig_priors(model, _with_sigma(scene, 0.5, 0.05, pairs=(pair,)), [0], RigTuning())
     assert len(known.pairs) == 1
     rig = model_rigs(final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust).model, scene)[0]
     assert baselines_m(rig)[1, 2] == pytest.approx(0.83, abs=0.005)

@@ -24,11 +24,11 @@ from tiegraph.sfm import mapping
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.run import MappingResult, Method, Request, RigsUsed, contradicted, refusal, run_mapper
 from tiegraph.sfm.start import StartCheck, check_start, length_of_path, rig_of_poses, start_from, start_told
-from tiegraph.sfm.tuning import StartCheckTuning, Tuning
-from tiegraph.sfm.tuning.placement import StagedTuning, StartTuning
+from tiegraph.sfm.tuning import AdjustTuning, StartCheckTuning, Tuning
+from tiegraph.sfm.tuning.placement import StartTuning
 from tiegraph.sfm.verified import MatchSource, read_verified
 
-TUNING = StartTuning()
+TUNING = Tuning()
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_frames_that_the_poses_have_at_a_wrong_place_are_placed_by_their_matches
         frames[7:] = transforms.rigid(_turned(20), np.array([3.0, 0, 12.0])) @ frames[7:]
     else:
         frames[[4, 9]] = frames[[10, 3]] @ transforms.rigid(_turned(20), np.array([3.0, 0, 0]))
-    tuning = Tuning(start=StartTuning(staged={"register_rounds": 0})) if part else None
+    tuning = Tuning(start=StartTuning(register_rounds=0)) if part else None
     mapped = _map(tmp_path, scene, _images(frames, scene), tuning=tuning)
     assert mapped.refused == ""
     assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
@@ -124,7 +124,7 @@ def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: 
     nominal = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3] @ _turned(k), np.zeros(3)))
                for k, s in enumerate(scene.rigs[0].sensors)]  # fmt: skip
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(nominal), fixed=False, nominal=True),))
-    rig = rig_of_poses(given, 0, rough, TUNING.max_lever_off)
+    rig = rig_of_poses(given, 0, rough, TUNING.start.max_lever_off)
     for found, sensor in zip(rig.sensors, scene.rigs[0].sensors):
         np.testing.assert_allclose(found.sensor_from_rig[:3, :3], sensor.sensor_from_rig[:3, :3], atol=1e-9)
         np.testing.assert_allclose(found.sensor_from_rig[:3, 3], 0.2 * sensor.sensor_from_rig[:3, 3], atol=1e-9)
@@ -186,18 +186,18 @@ def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -
     alone = verified.where(scene.sensor[verified.pairs].max(axis=1) == 0)  # the reference camera: no baselines
     stretched = frames.copy()
     stretched[:, :3, 3] *= 3.0
-    assert np.isnan(length_of_path(stretched, scene, (0,), alone, TUNING.scale)[0])
+    assert np.isnan(length_of_path(stretched, scene, (0,), alone, TUNING)[0])
     placed = scene.with_(world_from_rig=frames, position_sigma_m=np.full((scene.frames, 3), 0.02), prior="gnss")
-    scale, by = length_of_path(stretched, placed, (0,), alone, TUNING.scale)
+    scale, by = length_of_path(stretched, placed, (0,), alone, TUNING)
     assert by == "the positions" and scale == pytest.approx(1 / 3, rel=0.01)
-    assert length_of_path(frames, placed, (0,), alone, TUNING.scale)[0] == 1.0
+    assert length_of_path(frames, placed, (0,), alone, TUNING)[0] == 1.0
     extent = float(np.ptp(frames[:, :3, 3], axis=0).max())
     hardly = placed.with_(position_sigma_m=np.full((scene.frames, 3), extent))  # moved no farther than the noise
-    assert np.isnan(length_of_path(frames, hardly, (0,), alone, TUNING.scale)[0])
+    assert np.isnan(length_of_path(frames, hardly, (0,), alone, TUNING)[0])
     far = frames.copy()
     far[:, :3, 3] *= 100.0
-    assert length_of_path(far, hardly, (0,), alone, TUNING.scale)[0] == pytest.approx(0.01, rel=0.8)
-    assert length_of_path(stretched, scene, (0,), verified, TUNING.scale)[0] == pytest.approx(1 / 3, rel=0.03)
+    assert length_of_path(far, hardly, (0,), alone, TUNING)[0] == pytest.approx(0.01, rel=0.8)
+    assert length_of_path(stretched, scene, (0,), verified, TUNING)[0] == pytest.approx(1 / 3, rel=0.03)
 
 
 def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> None:
@@ -257,7 +257,7 @@ def test_the_gate_says_what_is_wrong_with_a_model(how: str, why: str, tmp_path: 
 @pytest.mark.slow
 def test_a_model_that_does_not_pass_the_gate_is_not_kept(world, tmp_path: Path) -> None:
     true, scene = world
-    strict = Tuning(start=StartTuning(staged=StagedTuning(max_error_px=0.01)))
+    strict = Tuning(adjust=AdjustTuning(filter_px=0.01))
     mapped = _map(tmp_path, scene, _rough(true, scene), tuning=strict)
     assert mapped.folders == [] and mapped.refused.startswith("its reprojection error is 0."), mapped
 

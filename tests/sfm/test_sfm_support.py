@@ -26,7 +26,7 @@ from tiegraph.sfm.motion import Lateness, Motion, at_one_instant
 from tiegraph.sfm.registrationreport import few_points, no_base, weakly_constrained
 from tiegraph.sfm.rig.rig import place_as_given, ties_of, units_per_metre, unsupported_sensors
 from tiegraph.sfm.rigcheck import FinishRequest, Held
-from tiegraph.sfm.tuning import MappingTuning, ShutterTuning, Tuning
+from tiegraph.sfm.tuning import AdjustTuning, MappingTuning, ShutterTuning, Tuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 from tiegraph.sfm.verified import ViewGraph
 
@@ -285,7 +285,7 @@ def test_a_shutter_is_found_and_taken_out(tmp_path: Path) -> None:
     assert 0 < sigma < 0.0005 and abs(seconds - READOUT_S) < 3 * sigma
     given = finished(model, scene, tmp_path / "given", 1000 * READOUT_S)
     assert any("20 ms as given" in n for n in given.notes)
-    weak = Tuning(shutter=ShutterTuning(used_gain=0.5))
+    weak = Tuning(adjust=AdjustTuning(used_gain=0.5))
     left = finished(model, scene, tmp_path / "told", None, weak)
     assert any("would explain the images better" in n and "--sparse.readout-ms 2" in n for n in left.notes)
     finished(model, scene, tmp_path / "global", 0)
@@ -308,8 +308,8 @@ def test_a_global_shutter_stays_one(tmp_path: Path) -> None:
     assert least.there(TUNING_SHUTTER) and str(least) == "-20.0 ms (sigma 3.0)"
     for change in ({"sigma": 0.0065}, {"gain": 0.0005}, {"seconds": 0.004, "sigma": 0.0001}, {"seconds": 0.2}):
         assert not replace(least, **change).there(TUNING_SHUTTER)
-    assert not least.clear(TUNING_SHUTTER) and replace(least, gain=0.03).clear(TUNING_SHUTTER)
-    assert not replace(least, gain=0.03, gap_s=0.5).clear(TUNING_SHUTTER)
+    assert not least.clear(CONSTANTS) and replace(least, gain=0.03).clear(CONSTANTS)
+    assert not replace(least, gain=0.03, gap_s=0.5).clear(CONSTANTS)
     untimed = scene.with_(time_s=np.full(FRAMES, np.nan))
     notes = finished(model, untimed, tmp_path / "untimed", 20.0).notes
     assert any("readout_ms = 20 is not used: it needs frames of a pass with times" in n for n in notes)

@@ -18,6 +18,8 @@ from pydantic import Field
 from tiegraph.geometry import transforms
 from tiegraph.settings import Section
 
+STEEP_DEG = 45.0  # halfway from the horizon: a camera with a larger mean angle looks up, or down
+
 
 class UpTuning(Section):
     """Which way is up in a model."""
@@ -84,7 +86,7 @@ def looking_up(cam_from_world: np.ndarray, frame: np.ndarray) -> np.ndarray:
     mean = np.stack([np.bincount(at, v, minlength=int(frame.max(initial=0)) + 1) for v in tops.T], axis=1)
     out = np.zeros(len(frame), bool)
     along = np.sum(cam_from_world[posed, 2, :3] * mean[at], axis=1)
-    out[posed] = along > np.sqrt(0.5) * np.linalg.norm(mean[at], axis=1)
+    out[posed] = along > np.cos(np.radians(STEEP_DEG)) * np.linalg.norm(mean[at], axis=1)
     return out
 
 

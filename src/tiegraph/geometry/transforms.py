@@ -179,6 +179,7 @@ def normal_matrices(ray: np.ndarray, weight: np.ndarray, group: np.ndarray, grou
 # ---------------------------------------------------------------- alignment
 
 
+LEAST_PLACES = 3  # that determine a similarity
 MAD = 1.4826  # sigma of normal errors over the median of their absolute values
 CAUCHY_SIGMAS = 2.385  # scale of a Cauchy loss: 95 % efficient for normal errors (Holland and Welsch 1977)
 

@@ -20,12 +20,15 @@ from tiegraph.scene.graph import cheapest_cut, forest, parts, symmetric
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import on_plane
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning import TwoViewTuning
 
 # The paper's own numbers: they define its method.
 WEAK = 25  # matches, paper 002 section 4.2.1
 SIMILAR = 500.0  # distance to the object over base length, paper 002 section 4.2.2
 PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 section 4.2.3
+LEAST = 8  # matches, and points in front of both images, that determine two views linearly
+_TRIALS, _CONFIDENCE = 200, 0.999  # of the RANSAC for the essential matrix
+_FARTHEST = 1e4  # bases: points beyond are at infinity
+_ITERATIONS = 20  # of the bundle adjustment, at most
 
 
 def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> DesignResult:
@@ -146,7 +149,7 @@ def two_view(
     xy_b: np.ndarray,
     camera_a: pycolmap.Camera,
     camera_b: pycolmap.Camera,
-    tuning: TwoViewTuning,
+    max_error_px: float,
     pixel: float = 1.0,
 ) -> tuple[float, float] | None:
     """Reconstruct two images from matches xy_a, xy_b (K, 2) pixels and adjust them; None where no geometry is found.
@@ -155,31 +158,30 @@ def two_view(
     section 2.4), and the distance of the points from the first image, in bases (its equation 1, but the median: at a
     short base a few points come out so far away that they alone make the mean).
 
-    ``pixel``: size of a pixel of the matches in those of the cameras (previews are reduced images).
+    ``max_error_px``: tolerance of the essential matrix, pixels of the matches; ``pixel``: size of a pixel of the
+    matches in those of the cameras (previews are reduced images).
     """
-    if len(xy_a) < tuning.min_points:
+    if len(xy_a) < LEAST:
         return None
     rays_a, rays_b = on_plane(camera_a, xy_a), on_plane(camera_b, xy_b)
     good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
-    if good.sum() < tuning.min_points:
+    if good.sum() < LEAST:
         return None
     focal = 0.5 * (camera_a.mean_focal_length() + camera_b.mean_focal_length())
     eye = np.eye(3)
-    bound = tuning.max_error_px * pixel / focal
-    essential, mask = cv2.findEssentialMat(
-        rays_a[good], rays_b[good], eye, cv2.RANSAC, tuning.confidence, bound, tuning.trials
-    )
+    bound = max_error_px * pixel / focal
+    essential, mask = cv2.findEssentialMat(rays_a[good], rays_b[good], eye, cv2.RANSAC, _CONFIDENCE, bound, _TRIALS)
     if essential is None or essential.shape != (3, 3):
         return None
     _, rotation, base, front, points = cv2.recoverPose(
-        essential, rays_a[good], rays_b[good], eye, distanceThresh=tuning.farthest, mask=mask.copy()
+        essential, rays_a[good], rays_b[good], eye, distanceThresh=_FARTHEST, mask=mask.copy()
     )
     ahead = np.asarray(front).ravel() > 0
-    if ahead.sum() < tuning.min_points:
+    if ahead.sum() < LEAST:
         return None
     xyz = (points[:3] / points[3]).T[ahead]
     b_from_a = transforms.rigid(rotation, base.ravel())
-    moved = _adjusted((xy_a[good][ahead], xy_b[good][ahead]), (camera_a, camera_b), b_from_a, xyz, tuning.iterations)
+    moved = _adjusted((xy_a[good][ahead], xy_b[good][ahead]), (camera_a, camera_b), b_from_a, xyz)
     before = b_from_a[:3, 3] / np.linalg.norm(b_from_a[:3, 3])
     after = moved / max(float(np.linalg.norm(moved)), 1e-12)
     distance = float(np.median(np.linalg.norm(xyz, axis=1)))
@@ -191,7 +193,6 @@ def _adjusted(
     cameras: tuple[pycolmap.Camera, ...],
     b_from_a: np.ndarray,
     xyz: np.ndarray,
-    iterations: int,
 ) -> np.ndarray:
     """Translation (3,) of the second image after a bundle adjustment with fixed intrinsics."""
     model = pycolmap.Reconstruction()
@@ -204,7 +205,7 @@ def _adjusted(
     for n, point in enumerate(xyz):
         track = pycolmap.Track([pycolmap.TrackElement(1, n), pycolmap.TrackElement(2, n)])
         model.add_point3D(point, track)
-    options = options_of(iterations)
+    options = options_of(_ITERATIONS)
     config = pycolmap.BundleAdjustmentConfig()
     for k in (1, 2):
         config.add_image(k)

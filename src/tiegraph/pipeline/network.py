@@ -31,7 +31,7 @@ from tiegraph.network.network import join_network, positions_of, with_bases
 from tiegraph.network.offsets import OFFSETS
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.plots import map_png, weak_pairs
-from tiegraph.papers.fuse2014 import two_view
+from tiegraph.papers.fuse2014 import LEAST, two_view
 from tiegraph.pipeline import files
 from tiegraph.pipeline.features import Matcher, preview_of, previews_of, read_preview, up_light, with_previews
 from tiegraph.project.run import Run
@@ -43,7 +43,6 @@ from tiegraph.scene.pairs import Pairs, PreviewMatches, Visibility
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import TwoViewTuning
 
 log = logging.getLogger(__name__)
 
@@ -305,16 +304,17 @@ def with_accuracy(run: Run, pairs: Pairs, scene: Scene, ties: PreviewMatches) ->
     The base between two frames of a pass is as long as their numbers are apart (002, 2.3), else one: lengths are in
     frames, not metres.
     """
-    tuning = run.settings.tuning.sfm.two_view
     unknown = np.full(len(pairs), np.nan)  # values of the coarse model are none of the paper's
     pairs = pairs.with_(sigma_m=unknown, h_over_b=unknown)
     row = ties.find(pairs.i, pairs.j)
     if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a coarse model)
         return pairs
     matches = np.where(row >= 0, ties.counts()[row], 0)
-    usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))
+    usable = np.flatnonzero((pairs.dropped == 0) & (matches >= LEAST))
     items = [((int(pairs.i[k]), int(pairs.j[k])), ties.of(int(row[k]))) for k in usable]
-    found: list[tuple[float, float] | None] = run.map(_two_view_item, items, run.folder, tuning)
+    found: list[tuple[float, float] | None] = run.map(
+        _two_view_item, items, run.folder, run.settings.preview.max_error_px
+    )
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
     apart = np.abs(scene.sequence_index[frame_i] - scene.sequence_index[frame_j])
@@ -328,7 +328,7 @@ def with_accuracy(run: Run, pairs: Pairs, scene: Scene, ties: PreviewMatches) ->
 
 
 def _two_view_item(
-    item: tuple[tuple[int, int], np.ndarray], folder: Path, tuning: TwoViewTuning
+    item: tuple[tuple[int, int], np.ndarray], folder: Path, max_error_px: float
 ) -> tuple[float, float] | None:
     images, match = item
     scene = _checked(folder)
@@ -336,7 +336,7 @@ def _two_view_item(
     one, other = (scene.sensor_of(k).camera for k in images)
     if one is None or other is None:
         return None
-    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], one, other, tuning, 1.0 / min(a.scale, b.scale))
+    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], one, other, max_error_px, 1.0 / min(a.scale, b.scale))
 
 
 @cached_by_file(2, lambda folder: folder / "network" / "scene.json")

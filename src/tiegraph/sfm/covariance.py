@@ -24,6 +24,7 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import robust_sigma
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.sorting import evenly
 from tiegraph.sfm.adjustment.jacobians import Layout, jacobians, sampled
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
@@ -116,7 +117,7 @@ class PositionSigma:
         """Camera id -> sigma of its place in the rig divided by its distance from the reference,
         where that is large."""
         shares = {k: m.sigma / max(float(np.linalg.norm(m.centre)), 1e-12) for k, m in self.mounting.items()}
-        most = tuning.open_times * self.median
+        most = LIMIT * self.median
         return {k: s for k, s in shares.items() if s > tuning.open_share and self.mounting[k].sigma > most}
 
 
@@ -184,8 +185,8 @@ def _sigma(
     and by the effects of shared errors."""
     layout, weighed, (first, second) = seen.layout, seen.weighed, seen.weights
     normal, unknowns = weighed.normal, 6 * len(layout.frame_ids)
-    frames = evenly(len(layout.frame_ids), tuning.frames)
-    points = np.sort(np.random.default_rng(0).permutation(weighed.jp.shape[1] // 3)[: tuning.points])
+    frames = evenly(len(layout.frame_ids), tuning.sampled)
+    points = np.sort(np.random.default_rng(0).permutation(weighed.jp.shape[1] // 3)[: tuning.sampled])
     # First positions and rotations of the frames, then all unknowns that follow the frames, then points
     places = 6 * frames[:, None] + np.arange(3)
     asked = np.concatenate([places.ravel(), places.ravel() + 3, np.arange(unknowns, layout.size)])
@@ -212,7 +213,7 @@ def _sigma(
         covariance=full[:count, :count],
         pixel_sigma=float(np.sqrt(seen.variance)),
         points=dict(zip([seen.points[k] for k in points], np.sqrt(of_points))),
-        interior=_interior(model, layout, rest, tuning.strong_correlation),
+        interior=_interior(model, layout, rest),
         mounting=_mountings(layout, rest),
         scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
     )
@@ -252,11 +253,9 @@ class Linearised:
         self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known
 
 
-def _interior(
-    model: pycolmap.Reconstruction, layout: Layout, covariance: np.ndarray, strong: float
-) -> tuple[tuple, ...]:
+def _interior(model: pycolmap.Reconstruction, layout: Layout, covariance: np.ndarray) -> tuple[tuple, ...]:
     """Each adjusted parameter of lenses with its sigma and the parameter of lens or mounting with which it correlates
-    most, if by at least ``strong``. ``covariance`` (R, R) of the unknowns that follow the frames."""
+    most. ``covariance`` (R, R) of the unknowns that follow the frames."""
     sigma, frames = np.sqrt(np.clip(np.diag(covariance), 1e-300, None)), 6 * len(layout.frame_ids)
     rows = []
     for key, column in layout.camera.items():
@@ -268,8 +267,7 @@ def _interior(
         for (at, name), value in zip(own, camera.params):
             others = {o: covariance[at, o] / sigma[at] / sigma[o] for o in labels if o != at}
             most = max(others, key=lambda o: abs(others[o]))
-            told = abs(others[most]) >= strong
-            last = (round(float(others[most]), 2), labels[most]) if told else (None, "")
+            last = round(float(others[most]), 2), labels[most]
             rows.append((key, name, float(f"{value:.6g}"), float(f"{sigma[at]:.2g}"), *last))
     return tuple(rows)
 

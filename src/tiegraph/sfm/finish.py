@@ -32,7 +32,7 @@ from tiegraph.sfm.adjustment.adjust import (
 from tiegraph.sfm.adjustment.constraints import nominal_geometry
 from tiegraph.sfm.adjustment.jacobians import Layout, of_time
 from tiegraph.sfm.covariance import Linearised, PositionSigma, position_sigma
-from tiegraph.sfm.model import Findings
+from tiegraph.sfm.model import ROUNDS, Findings
 from tiegraph.sfm.motion import Lateness, Motion, at_one_instant, in_their_time
 from tiegraph.sfm.placement import (
     confirmed_places,
@@ -181,17 +181,17 @@ def _with_found(checked: Checked, anew: Callable[[Checked, float], Checked], req
         f"a rolling shutter of {found} would explain the images better, by {100 * found.gain:.1f} % of the robust "
         f"sum of squares: it is not used; to use it, give --sparse.readout-ms {1000 * found.seconds:.0f}"
     )
-    if not found.clear(tuning.shutter):
+    if not found.clear(tuning):
         return checked
     last, seconds = checked, 0.0
-    for _ in range(tuning.shutter.rounds):
+    for _ in range(ROUNDS):
         seconds += found.step
         last = anew(last, seconds)
         found = find_readout(last.model, scene, fixed, tuning)
         if found is None or abs(found.seconds) < found.sigma:
             break
     cost, before = (robust_cost(c.model, tuning.adjust.robust_px) for c in (last, checked))
-    if found is None or cost > (1 - tuning.shutter.used_gain) * before:
+    if found is None or cost > (1 - tuning.adjust.used_gain) * before:
         return checked
     last.notes.append(
         f"rolling shutter of {replace(found, seconds=seconds)}, by the motion from frame to frame: key points are "
@@ -242,7 +242,7 @@ def _matches(out: FinishResult, model: pycolmap.Reconstruction, request: FinishR
             f"stated ({named(lost, scene)})"
         )
     if request.held.modes:
-        rows, said = camera_matches(found.verified, found.seen, scene, request.tuning.rig.camera_matches)
+        rows, said = camera_matches(found.verified, found.seen, scene, request.tuning.rig.diagnostics)
         out.tables |= {"matches between cameras": {"columns": MATCHES, "rows": rows}} if rows else {}
         out.contradictions += said
     groups = [*parts, *({f: r.step} for f, r in other.items() if f not in inside)]
@@ -320,9 +320,9 @@ class Readout:
         sure = abs(self.seconds) > LIMIT * self.sigma and self.gain > tuning.told_gain
         return sure and least <= abs(self.seconds) <= most
 
-    def clear(self, tuning: ShutterTuning) -> bool:
+    def clear(self, tuning: Tuning) -> bool:
         """Whether it is clear enough to be used without the user's request."""
-        return self.gain > tuning.used_gain and self.gap_s <= tuning.used_gap_s
+        return self.gain > tuning.adjust.used_gain and self.gap_s <= tuning.shutter.used_gap_s
 
     def __str__(self) -> str:
         """In milliseconds."""
@@ -352,7 +352,7 @@ def find_readout(
     loose = lens.extended(model, lens.extensible(model, free, ("RADIAL", *lens.UNDISTORTED)))
     layout = Layout(loose, free, set(model.rigs) - set(fixed_rigs))
     try:
-        found = Linearised(loose, layout, {}, tuning, tuning.shutter.most_points)
+        found = Linearised(loose, layout, {}, tuning, tuning.rig.most_points)
         seen = found.weighed.seen
         ids, number = np.unique(seen.camera, return_inverse=True)
         height = np.array([loose.camera(k).height for k in ids.tolist()])[number]

@@ -163,7 +163,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome) -> Outcome:
         return outcome
     poses = image_poses(read_model(outcome.folders[0]), job.scene)
     frames, verified = frame_poses(poses, job.scene), job.matches().read(job.scene)
-    length = length_of_path(frames, job.scene, held, verified, tuning.start.scale)
+    length = length_of_path(frames, job.scene, held, verified, tuning)
     most = tuning.start.scale.near
     if length is None or not np.isfinite(length[0]) or 1 / most < length[0] < most:
         return outcome
@@ -186,7 +186,7 @@ def with_others(job: Job, outcome: Outcome) -> Outcome:
     A start from poses makes one model only; a mapper has made its other models already.
     """
     rest = np.flatnonzero(_untied(job, outcome) >= 0)
-    if outcome.mapper != "preview" or len(rest) < job.tuning.mapping.second_survey:
+    if outcome.mapper != "preview" or len(rest) < job.tuning.adjust.min_images:
         return outcome
     other = run_once(job, choose_mapper(job), "of the images not tied to it", only=rest)
     both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
@@ -206,7 +206,7 @@ def others_told(job: Job, outcome: Outcome) -> list[str]:
     untied, frame, out = _untied(job, outcome), job.scene.frame, []
     for number in np.unique(untied[untied >= 0]):
         own = untied == number
-        if own.sum() < job.tuning.mapping.second_survey:
+        if own.sum() < job.tuning.adjust.min_images:
             continue
         why = "another survey, or overlap too little"
         if np.isin(frame[own], frame[there[0]]).all():

@@ -12,6 +12,8 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.tuning.world import FixTuning
 
+ROUNDS = 10  # most rounds of an iteration that ends when nothing changes: bounds the time
+
 
 @dataclass
 class Findings:
@@ -86,10 +88,10 @@ def distances(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> tuple[np
     places (NaN = none), and the noise of the first: all (K,), empty with too few positions or a model of one place."""
     position = scene.world_from_rig[:, :3, 3]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
-    if len(known) < tuning.least_positions:
+    if len(known) < transforms.LEAST_PLACES:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[known], axis=1, initial=0.0))
-    a, b = np.random.default_rng(0).choice(len(known), (2, tuning.distances))
+    a, b = np.random.default_rng(0).choice(len(known), (2, 4000))  # distances: bounds the time
     apart, own = (np.linalg.norm(p[known[a]] - p[known[b]], axis=1) for p in (position, centre))
     some = own > 0
     return apart[some], own[some], np.maximum(sigma[a] + sigma[b], tuning.least_noise_m)[some]
@@ -103,7 +105,7 @@ def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:
     """
     out = np.zeros(scene.frames, bool)
     has = np.flatnonzero(np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1))
-    if len(has) < tuning.least_to_hold_out:
+    if len(has) < 2 * tuning.held_out_every:  # too few would remain for the fit
         return out
     order = has[np.lexsort((scene.sequence_index[has], scene.sequence[has]))]
     out[order[tuning.held_out_every // 2 :: tuning.held_out_every]] = True

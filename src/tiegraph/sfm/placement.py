@@ -30,7 +30,7 @@ import pycolmap
 from scipy.sparse import coo_array, csr_array, triu
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.transforms import Similarity, robust_umeyama
+from tiegraph.geometry.transforms import LEAST_PLACES, Similarity, robust_umeyama
 from tiegraph.scene.colmapmodel import LEFT_OUT, matrix, rigid3d
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.graph import strongest_first
@@ -380,7 +380,7 @@ def _by_positions(found: Explained, frames: Collection[int], move: Similarity) -
     position, sigma = scene.world_from_rig[:, :3, 3], np.nanmax(scene.position_sigma_m, axis=1, initial=_LEAST_M)
     known = np.isfinite(centre[:, 0]) & np.isfinite(position[:, 0])
     part = np.isin(np.arange(len(known)), list(frames))[known]
-    if min(part.sum(), (~part).sum()) < found.tuning.least_positions:
+    if min(part.sum(), (~part).sum()) < LEAST_PLACES:
         return 0
     off = []
     for place in (Similarity(), move):

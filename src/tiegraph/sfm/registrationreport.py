@@ -146,18 +146,17 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene, tuning: 
         camera = reconstruction.camera(camera_id)
         size = max(camera.width, camera.height)
         ratio = camera.mean_focal_length() / size
-        off = max(
-            abs(camera.principal_point_x / camera.width - 0.5), abs(camera.principal_point_y / camera.height - 0.5)
-        )
+        off = _moved_px(camera, scene.all_sensors[camera_id - 1].camera) / size
         label = names.get(camera_id, str(camera_id))
         if not tuning.adjust.focal_range[0] <= ratio <= tuning.adjust.focal_range[1]:
             notes.append(
                 f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; "
                 "do not trust the model around it; give the calibration and set sparse.refine_intrinsics = no"
             )
-        if off > tuning.registration.max_centre_off:
+        if off > tuning.adjust.max_centre_shift:
             notes.append(
-                f"camera {label}: the principal point is {off:.0%} of the image size away from the middle of the image"
+                f"camera {label}: the principal point is {off:.0%} of the image size away from where it was given, or "
+                "from the middle of the image"
             )
     return notes
 
@@ -180,7 +179,7 @@ def rig_doubts(
     for index, (first, rig) in enumerate(scene.keyed_rigs):
         for key, sensor in enumerate(rig.sensors, start=first + 1):
             turned = _turned_deg(reconstruction.cameras, key, sensor.camera) if index in held else 0.0
-            if turned > tuning.registration.max_turned_deg:
+            if turned > tuning.mapping.max_turned_deg:
                 notes.append(
                     f"camera {sensor.name}: its principal point moved by as much as a rotation of {turned:.1f} deg, "
                     f"while rig {rig.name} was held as given: the extrinsics may contradict the images; {remedy}"
@@ -192,12 +191,15 @@ def _turned_deg(cameras: Any, key: int, given: pycolmap.Camera | None) -> float:
     """The angle of a camera's principal point from the given one, or from the middle if none is given."""
     if key not in cameras:
         return 0.0
-    camera = cameras[key]
+    return float(np.degrees(np.arctan(_moved_px(cameras[key], given) / cameras[key].mean_focal_length())))
+
+
+def _moved_px(camera: pycolmap.Camera, given: pycolmap.Camera | None) -> float:
+    """The distance of a camera's principal point from the given one, or from the middle if none is given."""
     x, y = (camera.width / 2, camera.height / 2)
     if given is not None:
         x, y = given.principal_point_x, given.principal_point_y
-    off = np.hypot(camera.principal_point_x - x, camera.principal_point_y - y)
-    return float(np.degrees(np.arctan(off / camera.mean_focal_length())))
+    return float(np.hypot(camera.principal_point_x - x, camera.principal_point_y - y))
 
 
 def models_table(models: Sequence[Any]) -> dict:

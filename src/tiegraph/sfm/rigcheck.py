@@ -56,7 +56,7 @@ class FinishRequest:
     def known(self, model: pycolmap.Reconstruction) -> PoseConstraints:
         """The values of rig files that are known with a sigma."""
         soft = [k for k, mode in self.held.modes.items() if mode == "soft"]
-        return rig_priors(model, self.scene, soft, self.tuning.rig.priors)
+        return rig_priors(model, self.scene, soft, self.tuning.rig)
 
     def adjusted(
         self, model: pycolmap.Reconstruction, doubted: Sequence[int] = (), wide: float = 1.0
@@ -97,7 +97,7 @@ def _wider(tuning: Tuning, wide: float) -> Tuning:
         return tuning
     own = tuning.adjust
     more = {"robust_px": wide * own.robust_px, "filter_px": wide * own.filter_px, "robust_rounds": 1}
-    more["tolerance"] = 100 * own.tolerance  # another adjustment follows
+    more["tolerance"] = own.rough_tolerance
     return tuning.model_copy(update={"adjust": own.model_copy(update=more)})
 
 
@@ -120,7 +120,7 @@ def checked_rig(out: Checked, mapped: pycolmap.Reconstruction, request: FinishRe
     several = [k for k, rig in enumerate(scene.rigs) if len(rig.sensors) > 1]
     try:
         tests = {k: test for k in several if (test := prior_test(model, scene, k, metres, request.tuning))}
-        torn = torn_off(mapped, model, scene, tests, request.tuning.rig.diagnostics)
+        torn = torn_off(mapped, model, scene, tests, request.tuning)
         for index, test in tests.items():
             last = _with_times(out, mapped, request, index, test) if test.late() else test
             if held.modes.get(index) == "fixed":

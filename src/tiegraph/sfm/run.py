@@ -127,7 +127,7 @@ def _from_poses(request: Request, working: Path, send: Callable[[Any], None]) ->
     placed = np.isfinite(poses).all(axis=(1, 2))
     if placed.sum() < request.tuning.mapping.clearly_fewer * piece.sum():
         return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} connected images")
-    start = start_from(poses, scene, request.rigs.given, request.rigs.held, verified, request.tuning.start)
+    start = start_from(poses, scene, request.rigs.given, request.rigs.held, verified, request.tuning)
     if start is None:
         return MappingResult(
             [], refused="neither matches nor positions determine the length of its path relative to the rig"
@@ -157,7 +157,7 @@ def _positions(scene: Scene, tuning: FixTuning) -> tuple[np.ndarray, np.ndarray]
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
     """``free``: intrinsics and extrinsics are adjusted where the request allows it."""
     lens = free and request.free_lenses
-    tolerance = request.tuning.start.staged.tolerance  # COLMAP's 0 would iterate on at points that are removed later
+    tolerance = request.tuning.adjust.rough_tolerance  # COLMAP's 0 would iterate on at points that are removed later
     return pycolmap.IncrementalPipelineOptions(
         ba_local_function_tolerance=tolerance,
         ba_global_function_tolerance=tolerance,
@@ -275,22 +275,22 @@ def _settle(mapper: pycolmap.IncrementalMapper, request: Request, verified: Veri
 def _round(mapper: pycolmap.IncrementalMapper, request: Request, free: bool, centre: bool = False) -> None:
     """Adjust the model with its most informative points; ``free``: as in ``_options``, ``centre``: with principal
     points."""
-    options, staged = _options(request, free), request.tuning.start.staged
-    for point_id in points_that_can_wait(mapper.reconstruction, request.tuning.adjust.few_points):
+    options, tuning = _options(request, free), request.tuning.adjust
+    for point_id in points_that_can_wait(mapper.reconstruction, tuning.few_points):
         mapper.observation_manager.delete_point3D(point_id)
     held = options.get_mapper()
     adjustment = options.get_global_bundle_adjustment()
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
-    adjustment.ceres.loss_function_scale = staged.soft_l1_px
+    adjustment.ceres.loss_function_scale = 2 * tuning.robust_px  # half the first points have larger errors
     solver = adjustment.ceres.solver_options
-    solver.max_num_iterations = staged.iterations
-    solver.function_tolerance = staged.tolerance
+    solver.max_num_iterations = tuning.iterations
+    solver.function_tolerance = tuning.rough_tolerance
     adjustment.ceres.solver_options = solver
     factorised(adjustment, mapper.reconstruction.num_reg_frames(), mapper.reconstruction.num_reg_images())
     if centre:
         adjustment.refine_principal_point = True
-        free_ids = free_cameras(mapper.reconstruction, request.tuning.adjust)
+        free_ids = free_cameras(mapper.reconstruction, tuning)
         held.constant_cameras |= set(mapper.reconstruction.cameras) - free_ids
     mapper.adjust_global_bundle(held, adjustment)
     mapper.filter_points(options.get_mapper())
@@ -328,7 +328,7 @@ def _place(
         mapper.observation_manager.deregister_frame(frame_id)
     options = _options(request, False)
     _triangulate(mapper, options)
-    for _ in range(request.tuning.start.staged.register_rounds):
+    for _ in range(request.tuning.start.register_rounds):
         if not _register(mapper, options):
             break
 
@@ -351,7 +351,6 @@ def refusal(
     model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, piece: np.ndarray, tuning: Tuning
 ) -> str:
     """Why the model of a connected ``piece`` (N,) bool of the images is not good enough; "" if it is."""
-    gate = tuning.start.staged
     own = {k + 1: s.camera for k, s in enumerate(scene.all_sensors) if s.camera is not None}
     lens = impossible_camera(own, model.cameras, set(own) & set(model.cameras), tuning.adjust)
     if lens is not None:
@@ -360,21 +359,20 @@ def refusal(
     tied = piece & (degree >= tuning.rig.support.min_ties)
     seeing = observations(model, scene) >= tuning.adjust.min_points
     share = float(np.mean(seeing[tied])) if tied.any() else 0.0
-    if share < gate.min_seeing:
+    if share < tuning.start.least_share:
         return (
             f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} or more of its "
             "points"
         )
     error = float(model.compute_mean_reprojection_error())
-    return f"its reprojection error is {error:.1f} px" if error > gate.max_error_px else ""
+    return f"its reprojection error is {error:.1f} px" if error > tuning.adjust.filter_px else ""
 
 
 def contradicted(model: pycolmap.Reconstruction, scene: Scene, verified: VerifiedMatches, tuning: Tuning) -> str:
     """How many verified pairs a model contradicts, if these are too many for it to be believed alone; else ""."""
-    gate = tuning.start.staged
     agreed = rays_meet(verified, image_observations(model, scene, tuning.placement.agreement))
     judged = agreed[:, 1] > 0
     good = agreed[judged, 0] >= tuning.placement.consistency.agrees * agreed[judged, 1]
-    if not judged.any() or good.mean() < gate.min_agreeing:
+    if not judged.any() or good.mean() < tuning.start.least_share:
         return f"it contradicts {np.sum(~good)} of {len(good)} verified pairs of images"
     return ""

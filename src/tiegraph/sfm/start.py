@@ -26,15 +26,15 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.transforms import angle_deg, cross, l1_mean_rotation, off_plane, robust_umeyama
+from tiegraph.geometry.transforms import LEAST_PLACES, angle_deg, cross, l1_mean_rotation, off_plane, robust_umeyama
 from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig, rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import distances, frame_poses, relative_poses, rig_from_sensor
-from tiegraph.sfm.tuning import StartCheckTuning
-from tiegraph.sfm.tuning.placement import ScaleTuning, StartTuning
+from tiegraph.sfm.tuning import StartCheckTuning, Tuning
+from tiegraph.sfm.tuning.placement import ScaleTuning
 from tiegraph.sfm.verified import VerifiedMatches
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines count as zero
@@ -46,7 +46,7 @@ Cost = Callable[[float, float], float]
 
 
 def length_of_path(
-    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: ScaleTuning
+    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: Tuning
 ) -> tuple[float, str] | None:
     """The scale that the path of frames (F, 4, 4) needs to agree with the rigs (indices ``held``) that must not
     change (1 = none, NaN = not determined), and what determines it: matches, else prior positions. None where nothing
@@ -54,11 +54,12 @@ def length_of_path(
     cam_from_rig = transforms.invert(rig_from_sensor(scene))
     if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
         return None
-    cost = _cost(scene, cam_from_rig, world_from_rig, verified, tuning.matches_a_pair)
-    for cap_rad in tuning.caps_rad:
-        if cost is not None and (scale := _by_matches(cost, cap_rad, tuning)) is not None:
+    agreement, bounds = tuning.placement.agreement, tuning.start.scale
+    cost = _cost(scene, cam_from_rig, world_from_rig, verified, agreement.matches_a_pair)
+    for cap_rad in (agreement.tolerance_rad / 3, agreement.tolerance_rad):  # the wide one next, for poor poses
+        if cost is not None and (scale := _by_matches(cost, cap_rad, bounds)) is not None:
             return scale, "its matches"
-    placed = _by_positions(scene, world_from_rig[:, :3, 3], tuning)
+    placed = _by_positions(scene, world_from_rig[:, :3, 3], bounds)
     return (float("nan"), "nothing") if placed is None else (placed, "the positions")
 
 
@@ -93,14 +94,15 @@ def _cost(
 
 
 def _by_matches(cost: Cost, cap_rad: float, tuning: ScaleTuning) -> float | None:
-    grid = np.linspace(-np.log(tuning.range), np.log(tuning.range), tuning.grid)
+    most, near = np.log(tuning.range), np.log(tuning.near)
+    grid = np.linspace(-most, most, 1 + 2 * int(np.ceil(1.5 * most / near)))  # of steps no path is mapped again for
     for _ in range(2):
         costs = np.array([cost(float(np.exp(x)), cap_rad) for x in grid])
         best = float(grid[np.argmin(costs)])
         step = float(grid[1] - grid[0])
         grid = np.linspace(best - step, best + step, 21)  # scales tried around the best of them
     lowest = float(costs.min())
-    beside = min(cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
+    beside = min(cost(float(np.exp(best + x)), cap_rad) for x in (-near, near))
     return float(np.exp(best)) if beside - lowest > tuning.dip * max(lowest, 1e-9) else None
 
 
@@ -117,7 +119,7 @@ def _by_positions(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> floa
     apart, own, noise = apart[far], own[far], noise[far]
     scale = float(np.median(np.maximum(apart, noise / LIMIT) / own))
     known_to = float(np.median(noise / np.maximum(apart, own)))
-    clear = max(np.log(tuning.clear), LIMIT * known_to)
+    clear = max(np.log(tuning.near), LIMIT * known_to)
     return scale if abs(np.log(scale)) > clear else 1.0
 
 
@@ -142,7 +144,7 @@ def start_from(
     given: Collection[int],
     held: Collection[int],
     verified: VerifiedMatches,
-    tuning: StartTuning,
+    tuning: Tuning,
 ) -> Start | None:
     """A start from poses (N, 4, 4) of the images, NaN = unknown, with the rigs ``given`` (indices), of which those
     ``held`` keep their extrinsics.
@@ -150,11 +152,11 @@ def start_from(
     None if the length of the path relative to a held rig is unknown: the poses may come from a model that did not use
     the rig.
     """
-    most, rigs = tuning.max_lever_off, scene.rigs
+    most, rigs = tuning.start.max_lever_off, scene.rigs
     fitted = {k: rigs[k] if k in held else rig_of_poses(scene, k, cam_from_world, most) for k in given}
     scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
     frames = frame_poses(cam_from_world, scene)
-    found = length_of_path(frames, scene, held, verified, tuning.scale)
+    found = length_of_path(frames, scene, held, verified, tuning)
     if found is None:
         return Start(fitted, frames, cam_from_world)
     scale, by = found
@@ -168,7 +170,7 @@ def start_from(
         rigs=fitted,
         world_from_rig=frames,
         cam_from_world=images,
-        notes=(note,) if abs(scale - 1) > tuning.told_change else (),
+        notes=() if f"{scale:.2g}" == "1" else (note,),
     )
 
 
@@ -248,7 +250,7 @@ def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: Start
     both = np.all(np.isfinite(given[:, :3]) & np.isfinite(made[:, :3]), axis=(1, 2))
     rows = np.flatnonzero(both)
     turned, off = np.full(len(given), np.nan), np.full(len(given), np.nan)
-    if len(rows) < tuning.least:
+    if len(rows) < LEAST_PLACES:
         return StartCheck(both=both, turned_deg=turned, off=off, bad=np.zeros(len(given), bool))
     between = made[rows, :3, :3] @ np.swapaxes(given[rows, :3, :3], 1, 2)
     tried = between[:: max(1, len(rows) // 300)]  # images whose rotations are tried: bounds the time
@@ -256,7 +258,7 @@ def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: Start
     first = angle_deg(between, tried[int(np.argmax(votes))]) <= tuning.turn_deg
     turned[rows] = angle_deg(between, l1_mean_rotation(between[first]))
     alike = rows[turned[rows] <= tuning.turn_deg]
-    if len(alike) >= tuning.least:
+    if len(alike) >= LEAST_PLACES:
         places = given[alike, :3, 3], made[alike, :3, 3]
         fit, _ = robust_umeyama(*places, sigma=tuning.off / 3 * reach)  # its limit is three sigmas
         off[rows] = np.linalg.norm(fit(given[rows, :3, 3]) - made[rows, :3, 3], axis=1) / reach
@@ -267,7 +269,7 @@ def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: Start
 def start_told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tuple[str, bool]:
     """The agreement of a start model in a sentence, and whether it contradicts the images."""
     count, bad = int(found.both.sum()), np.flatnonzero(found.bad)
-    if count < tuning.least:
+    if count < LEAST_PLACES:
         return f"start model: {count} of its images are in the model, too few to test it", False
     good = found.both & ~found.bad
     agree = (
@@ -286,7 +288,7 @@ def start_told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tup
         f"{len(bad)} images do not: they are rotated relative to the others by {turned:.2g} deg{where} (median), such "
         f"as {names}"
     )
-    why = "is it of another survey, or are names different?" if share > tuning.most else "is it bent there?"
+    why = "is it of another survey, or are names different?" if share > 0.5 else "is it bent there?"
     contradicts = share > tuning.share
     ending = f"; its poses were used only to choose pairs: {why}" if contradicts else ""
     return f"start model and images: {agree}; {text}{ending}", contradicts

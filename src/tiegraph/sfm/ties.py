@@ -111,7 +111,7 @@ class TieTest:
     def holds(self, tuning: PlacementTuning) -> bool:
         """Whether it is beyond chance, in the fitted and in the held-out ties."""
         asked = tuning.ties
-        enough = self.ties >= asked.least and self.independent >= asked.independent
+        enough = self.ties >= tuning.consistency.min_votes and self.independent >= asked.independent
         return enough and min(self.ties / self.total, self.explained) >= asked.share
 
 
@@ -149,17 +149,17 @@ def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
 
 def fits(ties: Ties, tuning: PlacementTuning) -> list[TieFit]:
     """Similarities whose agreeing ties are different ones, most ties first."""
-    asked, tolerance_rad = tuning.ties, tuning.agreement.tolerance_rad
-    if not asked.trials or len(ties) < asked.least:
+    asked, tolerance_rad, least = tuning.ties, tuning.agreement.tolerance_rad, tuning.consistency.min_votes
+    if not asked.trials or len(ties) < least:
         return []
     few = ties.evenly(asked.most)
-    proposed = [s for group in _groups(ties, few, asked) if (s := _by_points(group, asked)) is not None]
+    proposed = [s for group in _groups(ties, few, tuning) if (s := _by_points(group, asked)) is not None]
     agree = [few.agree(s, tolerance_rad) for s in proposed]
     found = []
     for k in _distinct(agree, asked.fits):
         fit = _by_directions(few, proposed[k], tuning)
         right = None if fit is None else ties.agree(fit, tolerance_rad)
-        if fit is not None and right is not None and right.sum() >= asked.least:
+        if fit is not None and right is not None and right.sum() >= least:
             found.append(TieFit(fit, right, np.median(ties.xyz[0][right], axis=0)))
     found.sort(key=lambda one: -int(one.agree.sum()))
     return [found[k] for k in _distinct([one.agree for one in found], asked.fits)]
@@ -184,18 +184,18 @@ def _by_directions(ties: Ties, start: Similarity, tuning: PlacementTuning) -> Si
     fit, tolerance_rad = start, tuning.agreement.tolerance_rad
     for tolerance in tolerance_rad * 2.0 ** np.arange(tuning.ties.rounds)[::-1]:
         agree = ties.agree(fit, tolerance)
-        if agree.sum() < tuning.ties.least:
+        if agree.sum() < tuning.consistency.min_votes:
             return None
         fit = _refined(ties.where(agree), fit, tolerance_rad)
     return fit
 
 
-def _groups(ties: Ties, few: Ties, tuning: TieTuning) -> list[Ties]:
+def _groups(ties: Ties, few: Ties, tuning: PlacementTuning) -> list[Ties]:
     """The ties that propose a similarity together: ``few`` of all, and those of single pairs of images."""
     _, pair, count = np.unique(ties.images, axis=0, return_inverse=True, return_counts=True)
     order, start = np.argsort(pair.ravel(), kind="stable"), np.cumsum(count) - count
-    strong = np.flatnonzero(count >= tuning.least)
-    strong = strong[np.linspace(0, len(strong) - 1, min(len(strong), tuning.proposals)).astype(int)]
+    strong = np.flatnonzero(count >= tuning.consistency.min_votes)
+    strong = strong[np.linspace(0, len(strong) - 1, min(len(strong), tuning.ties.proposals)).astype(int)]
     return [few, *(ties.where(order[start[k] : start[k] + count[k]]) for k in strong)]
 
 

@@ -239,7 +239,7 @@ def tears(
     np.add.at(across, a[near], votes)
     np.add.at(across, b[near], -votes)
     right, all_ = np.cumsum(across, axis=0)[:-1].T
-    torn = np.flatnonzero((all_ >= tuning.min_votes) & (right < tuning.torn * all_))
+    torn = np.flatnonzero((all_ >= tuning.min_votes) & (right < (1 - tuning.explains) * all_))
     return [(int(order[k]), int(order[k + 1]), round(right[k]), round(all_[k])) for k in torn]
 
 
@@ -348,5 +348,5 @@ class _Matched:
         near, far = self._reach[images, 0] / tuning.reach, self._reach[images, 1] * tuning.reach
         inside = np.all((np.stack([s, t], axis=1) > near) & (np.stack([s, t], axis=1) < far), axis=1)
         parallel = (np.sqrt(squared) < tuning.tolerance_rad) & (np.sum(a * b, axis=1) > 0)
-        parallel &= np.linalg.norm(step, axis=1) < tuning.tolerance_rad * tuning.parallax * far.max(axis=1)
+        parallel &= np.linalg.norm(step, axis=1) < tuning.tolerance_rad * tuning.reach * far.max(axis=1)
         return (meets & inside) | parallel

@@ -136,7 +136,7 @@ def _with_doubted(
     given = {k: model.camera(k) for k in names}
     _solve(trial, fixed_rigs, free | set(names), True, soft, tuning, given)
     gain = 1 - robust_cost(trial, tuning.robust_px) / max(robust_cost(model, tuning.robust_px), 1e-12)
-    if gain < tuning.lens_gain:
+    if gain < tuning.used_gain:
         return model, ""
     most = max(lens.difference_px(model.camera(k), trial.camera(k)) for k in names)
     return trial, (

@@ -20,7 +20,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.tuning import AdjustTuning
-from tiegraph.sfm.tuning.rig import RigPriorTuning, RigTuning
+from tiegraph.sfm.tuning.rig import RigTuning
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,7 @@ class PoseConstraints:
 
 
 NOTHING = PoseConstraints()
+_EXACT = (1e-4, 1e-3)  # m, deg: a sigma of 0 means "exactly"; these are the smallest that the solver can handle
 
 
 def add_priors(
@@ -188,7 +189,7 @@ class _PairCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
 
 
 def rig_priors(
-    model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int], tuning: RigPriorTuning
+    model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int], tuning: RigTuning
 ) -> PoseConstraints:
     """Priors of the rigs (scene indices) of a metric model, and of nominal rigs of any model.
 
@@ -200,10 +201,9 @@ def rig_priors(
         if index in rigs and index + 1 in model.rigs:
             sigma = [[s.sigma_m or 0.0, s.sigma_deg or 0.0] for s in rig.sensors]
             if not any(s.soft() for s in rig.sensors[1:]):
-                sigma = [[tuning.free_m, tuning.free_deg]] * len(rig.sensors)
-            least = [tuning.least_m, tuning.least_deg]
-            sensors += sensor_priors(model.rigs[index + 1], rig, first, np.maximum(sigma, least))
-            pairs += [_pair(pair, rig, index + 1, first, tuning) for pair in rig.pairs]
+                sigma = [[tuning.prior_test.freed_m, tuning.prior_test.freed_deg]] * len(rig.sensors)
+            sensors += sensor_priors(model.rigs[index + 1], rig, first, np.maximum(sigma, _EXACT))
+            pairs += [_pair(pair, rig, index + 1, first) for pair in rig.pairs]
     return PoseConstraints(sensors=sensors, pairs=pairs, nominal=nominal_geometry(model, scene))
 
 
@@ -236,7 +236,7 @@ def of_one_shot(model: pycolmap.Reconstruction, scene: Scene, tuning: RigTuning)
     over its length changes nothing there. Without this constraint an adjustment with positions took PandaSet, whose
     back camera shares few points with the others, from 22 to 59 mm.
     """
-    covariance = _covariance(tuning.held_m, tuning.held_deg)
+    covariance = _covariance(tuning.prior_test.given_m, tuning.prior_test.given_deg)
     first: dict[int, int] = {}
     tied: dict[int, RelativePosePrior] = {}
     for index in np.argsort(scene.sensor, kind="stable"):
@@ -274,13 +274,13 @@ def nominal_geometry(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, 
     return out
 
 
-def _pair(pair: SensorPair, rig: Rig, rig_id: int, first: int, tuning: RigPriorTuning) -> PairPrior:
+def _pair(pair: SensorPair, rig: Rig, rig_id: int, first: int) -> PairPrior:
     a, b = (first + rig.index(name) + 1 for name in pair.sensors)
     return PairPrior(
         rig_id=rig_id,
         cameras=(a, b),
         length=pair.baseline_m,
-        length_sigma=max(pair.baseline_sigma_m or 0.0, tuning.least_m),
+        length_sigma=max(pair.baseline_sigma_m or 0.0, _EXACT[0]),
         angle_rad=None if pair.axis_deg is None else float(np.radians(pair.axis_deg)),
-        angle_sigma_rad=float(np.radians(max(pair.axis_sigma_deg or 0.0, tuning.least_deg))),
+        angle_sigma_rad=float(np.radians(max(pair.axis_sigma_deg or 0.0, _EXACT[1]))),
     )

@@ -83,7 +83,7 @@ def _expected(camera: pycolmap.Camera, tuning: LensTuning) -> np.ndarray:
         return lens.covariance(camera.mean_focal_length(), tuning)
     pixels = set(camera.focal_length_idxs()) | set(camera.principal_point_idxs())
     wide = tuning.loose_focal * camera.mean_focal_length()
-    return np.diag(np.square([wide if p in pixels else tuning.loose_radial for p in range(len(camera.params))]))
+    return np.diag(np.square([wide if p in pixels else tuning.radial for p in range(len(camera.params))]))
 
 
 @dataclass(frozen=True)

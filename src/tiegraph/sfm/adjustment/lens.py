@@ -78,11 +78,9 @@ def add_priors(
 
 def covariance(focal_px: float, tuning: LensTuning, calibrated: bool = False) -> np.ndarray:
     """(8, 8) prior covariance of OPENCV's parameters."""
-    focal, aspect = tuning.loose_focal, tuning.aspect
-    centre, radial = tuning.loose_centre, tuning.loose_radial
+    focal, centre, aspect, radial = tuning.loose_focal, tuning.loose_centre, tuning.aspect, tuning.radial
     if calibrated:
-        focal, aspect = tuning.given_focal, tuning.given_aspect
-        centre, radial = tuning.given_centre, tuning.given_radial
+        focal = centre = aspect = tuning.given
     centre_px, decentring = centre * focal_px, tuning.decentring
     sigma = np.array([0.0, 0.0, centre_px, centre_px, radial, radial, decentring, decentring])
     out = np.diag(sigma**2)

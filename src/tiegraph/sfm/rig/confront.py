@@ -124,7 +124,7 @@ class PriorTest:
     def late(self) -> bool:
         """Whether a camera certainly fires at another time than its reference, by a visible amount."""
         tuning, speed = self.known.tuning, self.system.speed
-        least = LIMIT * tuning.confront.held_to_m
+        least = LIMIT * tuning.prior_test.held_to_m
         times = self.times_s().values()
         return any(abs(t) > LIMIT * sigma and abs(t) * speed > least for t, sigma in times)
 
@@ -151,7 +151,7 @@ def prior_test(
         found = [s.sensor_from_rig for s in rig.sensors]
     else:  # the extrinsics of the model's rig are converted to metres, which gives a system in metres
         found = [s.sensor_from_rig for s in model_rigs(model, scene)[index].scaled(metres_per_unit).sensors]
-        least = tuning.rig.confront.loosely_m, tuning.rig.confront.loosely_deg
+        least = tuning.rig.nominal_m, tuning.rig.nominal_deg
     if not (lenses if count == 1 else rig.known()):
         return None
     sensors = [replace(s, sensor_from_rig=f) for s, f in zip(rig.sensors, found)]
@@ -237,7 +237,7 @@ def open_times(test: PriorTest, rig: Rig) -> list[str]:
     system, tuning = test.system, test.known.tuning
     known = _expected(rig, system.timed, tuning)
     times = test.times(system.solve(known.sigma(system, (TIMES,)))) if known.late_s else {}
-    late = {k: sigma for k, (_, sigma) in times.items() if sigma * system.speed > LIMIT * tuning.confront.held_to_m}
+    late = {k: sigma for k, (_, sigma) in times.items() if sigma * system.speed > LIMIT * tuning.prior_test.held_to_m}
     if not late:
         return []
     names, worst = [rig.sensors[k].name for k in late], max(late.values())
@@ -257,7 +257,7 @@ def mounting_errors(test: PriorTest, rig: Rig, tuning: RigTuning, followed: bool
     ``followed``: the model follows the images, and values that they do not contradict have their given sigmas.
     """
     system, count = test.system, len(rig.sensors)
-    held = _expected(rig, system.timed, tuning, (tuning.confront.held_to_m, tuning.confront.held_to_deg))
+    held = _expected(rig, system.timed, tuning, (tuning.prior_test.held_to_m, tuning.prior_test.held_to_deg))
     units = np.repeat([1 / system.metres_per_unit, 1.0], 3)
     if test.beyond:
         sigma = held.mounts([("mount", k) for k in range(count)])[1:] * [1.0, np.pi / 180]

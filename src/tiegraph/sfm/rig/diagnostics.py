@@ -26,7 +26,7 @@ from tiegraph.sfm.rig.confront import TIMES, Group, PriorTest
 from tiegraph.sfm.rig.linear import deviations
 from tiegraph.sfm.systematic import Stray, strays_of
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.rig import CameraMatchesTuning, DiagnosticsTuning
+from tiegraph.sfm.tuning.rig import DiagnosticsTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, rays_meet
 
 OFFSET = "time offset ms"
@@ -69,7 +69,7 @@ def rig_diagnostics(
 ) -> RigDiagnostics:
     """Movement of the cameras of rigs from shot to shot, in a model whose cameras have their times; ``torn``: sensor
     keys (``torn_off``). Raises ValueError for a model without redundancy."""
-    seen = Linearised(model, Layout(model, False, False), {}, tuning, tuning.rig.system.most_points)
+    seen = Linearised(model, Layout(model, False, False), {}, tuning, tuning.rig.most_points)
     strays = strays_of(model, seen.weighed, np.flatnonzero(_mounted(scene)) + 1)
     found = {k - 1: stray for k, stray in strays.items()}
     loose = dict.fromkeys(torn, "most of its observations contradict the rig")
@@ -87,18 +87,18 @@ def torn_off(
     after: pycolmap.Reconstruction,
     scene: Scene,
     tests: Mapping[int, PriorTest],
-    tuning: DiagnosticsTuning,
+    tuning: Tuning,
 ) -> list[int]:
     """Keys of sensors of rigs that lost more than half of their observations in the adjustment, and far more than the
     others, unless a contradiction between images and rig explains it."""
     counts = np.zeros((2, len(scene.all_sensors)))
     for row, model in zip(counts, (before, after)):
         np.add.at(row, scene.sensor_key, observations(model, scene))
-    there = _mounted(scene) & (counts[0] >= tuning.min_sightings)
+    there = _mounted(scene) & (counts[0] >= tuning.adjust.min_images * tuning.adjust.min_points)
     if not there.any():
         return []
     kept = np.where(there, counts[1] / np.maximum(counts[0], 1), np.nan)
-    least = min(tuning.min_kept, tuning.min_kept * float(np.nanmax(kept)))
+    least = tuning.rig.diagnostics.min_kept * min(1.0, float(np.nanmax(kept)))
     return [k for k in np.flatnonzero(there & (kept < least)).tolist() if not _explained(tests, scene, k)]
 
 
@@ -115,7 +115,7 @@ def _explained(tests: Mapping[int, PriorTest], scene: Scene, key: int) -> bool:
 
 
 def camera_matches(
-    verified: VerifiedMatches, seen: ImageObservations, scene: Scene, tuning: CameraMatchesTuning
+    verified: VerifiedMatches, seen: ImageObservations, scene: Scene, tuning: DiagnosticsTuning
 ) -> tuple[list[list[Any]], list[str]]:
     """Rows of ``MATCHES`` on the pairs of cameras of one rig with enough pairs of images, compared with the poses of a
     model: the share of the matches between the two that agree, and the smaller share within each. One sentence on the
@@ -253,7 +253,7 @@ def _one_cause(sensors: Collection[int], rig: Rig) -> list[str]:
 
 def _times(test: PriorTest, rig: Rig) -> list[_Pair]:
     """The firing times of the cameras of a rig that is given as synchronised."""
-    timed, held_to = test.system.timed, test.known.tuning.confront.held_to_time
+    timed, held_to = test.system.timed, test.known.tuning.prior_test.held_to_time
     unit, factor = ("ms", 1000.0) if timed else ("% of the frame interval", 100.0)
     source, culprit = "rig file (synchronised)", "the cameras do not fire at one instant"
     return [
@@ -280,7 +280,7 @@ def _mounting(
 ) -> list[_Pair]:
     """Place and rotation along the axis with the largest deviation, as given (0) and from the images, in the frame of
     the rig."""
-    system, camera, held_to = test.system, scene.rigs[index].sensors[sensor], test.known.tuning.confront
+    system, camera, held_to = test.system, scene.rigs[index].sensors[sensor], test.known.tuning.prior_test
     solution = test.until(("mount", sensor))
     sigma = solution.sigma()
     out = []
@@ -310,7 +310,7 @@ def _or_late(test: PriorTest, group: Group) -> str:
 
 def _focal(test: PriorTest, scene: Scene, index: int, sensor: int) -> _Pair:
     """The calibrated focal length."""
-    system, camera, held_to = test.system, scene.rigs[index].sensors[sensor], test.known.tuning.confront
+    system, camera, held_to = test.system, scene.rigs[index].sensors[sensor], test.known.tuning.prior_test
     assert camera.camera is not None
     at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
     focal = float(camera.camera.mean_focal_length())

@@ -106,11 +106,9 @@ def rig_system(
     few observations. ``lenses``: ids of cameras whose parameters are unknowns too.
     """
     sensors, first = scene.rigs[index].sensors, scene.first_sensor(index) + 1
-    part = _stretch(model, scene, index, tuning.rig.system.most_frames)
-    if part.num_reg_frames() < tuning.rig.system.least_frames:
-        return None
+    part = _stretch(model, scene, index, tuning.rig.most_frames)
     try:
-        found = Linearised(part, Layout(part, False, False), {}, tuning, tuning.rig.system.most_points)
+        found = Linearised(part, Layout(part, False, False), {}, tuning, tuning.rig.most_points)
     except ValueError:
         return None
     seen, motion = found.weighed.seen, Motion(part, scene, tuning.shutter.max_gap_s)

@@ -22,14 +22,15 @@ class MappingTuning(Section):
     """Ratio of a focal length to the given one, in either direction, from which the two contradict each other
     (`mapper.py`). Data sheets and EXIF are accurate to some percent; a diverged one was 2.1 times too long (a
     hand-held kitchen)."""
-    second_survey: int = Field(10, gt=0)
-    """Images without any tie to the model that are mapped separately."""
     turned_share: float = Field(0.9, gt=0, le=1)
     """Share of pairs explained by rotations alone, from which there is no base for a model (`registrationreport.py`).
     Views of one panorama 0.99; thirty real surveys 0 to 0.06, a drone over the sea 0.33."""
     turned_off: float = Field(0.002, gt=0)
     """Residual of a rotation for such a pair, as a share of the longer side: 0.0003 in those views, 0.003 to 0.06 in
     the surveys."""
+    max_turned_deg: float = Field(3.0, ge=0)
+    """Shift of the principal point of a camera in a held rig, as an angle; 1.5 at most in the correct rigs of canal
+    and kerry_park."""
     min_model_images: int = Field(3, ge=2)
     """Fewest images of a mapper's model."""
     rough_tracks: int = Field(100, gt=0)
@@ -73,16 +74,11 @@ class LensTuning(Section):
     """Relative sigma of a focal length without calibration (of a principal point too in models other than OPENCV)."""
     loose_centre: float = Field(0.1, gt=0)
     """Sigma of its principal point, as a share of the focal length."""
-    loose_radial: float = Field(0.5, gt=0)
-    """Sigma of its k1, k2 (of all distortion in models other than OPENCV)."""
-    given_focal: float = Field(0.001, gt=0)
-    """Relative sigma of the focal length of a calibration that the images contradict."""
-    given_centre: float = Field(0.0015, gt=0)
-    """Sigma of its principal point, as a share of the focal length."""
-    given_aspect: float = Field(0.0005, gt=0)
-    """Sigma of its fx / fy."""
-    given_radial: float = Field(0.1, gt=0)
-    """Sigma of its k1, k2: its distortion is not trusted at all (PandaSet gives none)."""
+    radial: float = Field(0.5, gt=0)
+    """Sigma of k1, k2 (of all distortion in models other than OPENCV): nothing is known of a lens without calibration,
+    and the distortion of a calibration that the images contradict is not trusted at all (PandaSet gives none)."""
+    given: float = Field(0.001, gt=0)
+    """Sigma of the focal lengths and the principal point of such a calibration, as a share of the focal length."""
 
 
 class FewPointsTuning(Section):
@@ -115,7 +111,8 @@ class AdjustTuning(Section):
     min_points: int = Field(10, gt=0)
     """Model points that an image sees; with fewer, only the rig gives its pose."""
     min_images: int = Field(10, gt=0)
-    """Images of a camera from which its intrinsics are adjusted once more with the principal point."""
+    """Images of a camera from which its intrinsics are adjusted once more with the principal point; images without any
+    tie to the model that are mapped separately."""
     filter_px: float = Field(2.0, gt=0)
     """Observations with larger errors after the first adjustment are removed."""
     filter_angle_deg: float = Field(1.0, ge=0)
@@ -131,7 +128,7 @@ class AdjustTuning(Section):
     of 6.5 and canal 6.8 instead of 12.4, in the same time."""
     tolerance: float = Field(1e-6, gt=0)
     """Relative change of the cost that ends the iteration: canal_demo's trajectory is the same to 0.001 mm, in three
-    quarters of the time."""
+    quarters of the time. A hundred times as much where another adjustment follows."""
     enough_seen: int = Field(50, ge=0)
     """Points that a frame or a group of frames shares with all others, from which its place needs no more; below, its
     own errors, such as those of a blur, show in no residual. In 15 runs of kerry_park frames with fewer are off by up
@@ -142,8 +139,11 @@ class AdjustTuning(Section):
     """Shift of a principal point as a share of the image size; a larger one is a bent model, not a lens."""
     focal_range: tuple[float, float] = (0.2, 5.0)
     """Range of focal lengths in units of the longer image side; no lens of a survey camera is outside it."""
-    lens_gain: float = Field(0.03, ge=0, le=1)
-    """Reduction of the robust cost from which free distortion is used against a calibration."""
+    used_gain: float = Field(0.02, ge=0, le=1)
+    """Reduction of the robust cost from which what nobody asked for is used: free distortion against a calibration,
+    the readout of a rolling shutter (predicted, and then reached). A telephone that sways by a degree 0.2; with
+    PandaSet's 28 ms its cameras' rotations are 0.04 deg better and their places 6 mm worse, because its rig is held
+    as calibrated without a readout."""
     few_points: FewPointsTuning = Field(default_factory=FewPointsTuning)
     """Points of all adjustments but the last."""
     lens: LensTuning = Field(default_factory=LensTuning)
@@ -151,24 +151,24 @@ class AdjustTuning(Section):
     lever_arms: LeverArmTuning = Field(default_factory=LeverArmTuning)
     """Prior of the rig's geometry."""
 
+    @property
+    def rough_tolerance(self) -> float:
+        """The tolerance where another adjustment follows, which starts with better points."""
+        return 100 * self.tolerance
+
 
 class SigmaTuning(Section):
     """Accuracy of the estimated parameters (`covariance.py`)."""
 
     most_points: int = Field(200_000, gt=0)
     """Points used; of more, a random sample, and the sums are scaled up."""
-    frames: int = Field(200, gt=0)
-    """Frames whose sigmas are computed, evenly over the pass: the median of more is the same."""
-    points: int = Field(200, gt=0)
-    """Points whose sigmas are computed: a random sample."""
+    sampled: int = Field(200, gt=0)
+    """Frames, evenly over the pass, and random points whose sigmas are computed: the median of more is the same."""
     between_pairs: int = Field(10, gt=0)
     """Pairs of frames at a distance that are needed for the sigma of the vector between frames (`shape.py`)."""
-    strong_correlation: float = Field(0.7, ge=0, le=1)
-    """Correlation of a parameter of interior orientation from which it is listed."""
     open_share: float = Field(0.1, ge=0)
-    """Sigma of a camera's place in the rig as a share of its lever arm ..."""
-    open_times: float = Field(3.0, ge=0)
-    """... and as a multiple of the frames' sigmas: beyond both, its place is hardly determined."""
+    """Sigma of a camera's place in the rig as a share of its lever arm, beyond which it is hardly determined, if it
+    is beyond that of the frames too."""
 
 
 class ShutterTuning(Section):
@@ -176,56 +176,20 @@ class ShutterTuning(Section):
 
     max_gap_s: float = Field(3.0, gt=0)
     """Gap between neighbours of a pass beyond which their difference gives no velocity (`scan.max_gap_s`)."""
-    most_points: int = Field(20_000, gt=0)
-    """Points used; of more, a random sample."""
     range_s: tuple[float, float] = (0.005, 0.1)
     """No shutter has a shorter readout, and KITTI's lenses look like 0.003; ODM's table ends at 0.074."""
-    rounds: int = Field(4, gt=0)
-    """Rounds of an adjustment and a step of the readout, until a step is below its sigma."""
     told_gain: float = Field(0.001, ge=0, le=1)
     """Predicted reduction of the robust cost from which a readout is reported. PandaSet 0.003 to 0.006; KITTI
     (global) 0.0006, canal 0."""
-    used_gain: float = Field(0.02, ge=0, le=1)
-    """Reduction, predicted and then reached, from which a readout is used without request. A telephone that sways by
-    a degree 0.2; with PandaSet's 28 ms its cameras' rotations are 0.04 deg better and their places 6 mm worse,
-    because its rig is held as calibrated without a readout."""
     used_gap_s: float = Field(0.25, gt=0)
-    """Median time between images up to which that applies: a hand sways faster than twice a second, and the readout
-    absorbs motion that is not sampled (simulated at 2 images a second: 35 ms instead of 20, at 10: 20.0)."""
-
-
-class RegistrationTuning(Section):
-    """Remarks on losses and doubts of a model (`registrationreport.py`)."""
-
-    max_turned_deg: float = Field(3.0, ge=0)
-    """Shift of the principal point of a camera in a held rig, as an angle; 1.5 at most in the correct rigs of canal
-    and kerry_park."""
-    max_centre_off: float = Field(0.25, ge=0)
-    """Distance of a principal point from the middle of the image, as a share of the image size."""
-
-
-class TwoViewTuning(Section):
-    """Accuracy of a single pair (`papers/fuse2014.py`)."""
-
-    min_points: int = Field(8, ge=5)
-    """Matches, and points in front of both images, below which there is no geometry."""
-    max_error_px: float = Field(3.0, gt=0)
-    """Tolerance of the essential matrix, pixels of the preview."""
-    trials: int = Field(200, gt=0)
-    """Trials of the RANSAC for the essential matrix, at most."""
-    confidence: float = Field(0.999, gt=0, lt=1)
-    """Confidence of that RANSAC."""
-    farthest: float = Field(1e4, gt=0)
-    """Points at a greater distance, in bases, are rejected."""
-    iterations: int = Field(20, gt=0)
-    """Iterations of the bundle adjustment."""
+    """Median time between images up to which a readout is used without request: a hand sways faster than twice a
+    second, and the readout absorbs motion that is not sampled (simulated at 2 images a second: 35 ms instead of 20,
+    at 10: 20.0)."""
 
 
 class StartCheckTuning(Section):
     """Agreement of a start model with the model that the images gave (`start.py`)."""
 
-    least: int = Field(3, ge=3)
-    """Images with both poses that are needed for a verdict."""
     turn_deg: float = Field(2.0, gt=0)
     """Rotation relative to the consistent part: a finished model is straighter, one bent by a mapper is not."""
     off: float = Field(0.1, gt=0)
@@ -233,8 +197,6 @@ class StartCheckTuning(Section):
     differs."""
     share: float = Field(0.1, ge=0, le=1)
     """Share of the images: if more disagree, start model and images contradict each other."""
-    most: float = Field(0.5, ge=0, le=1)
-    """Share of the images: if more disagree, the start model may be of another survey."""
 
 
 class Tuning(Section):
@@ -248,10 +210,6 @@ class Tuning(Section):
     """Sigmas of a model."""
     shutter: ShutterTuning = Field(default_factory=ShutterTuning)
     """Rolling shutters."""
-    registration: RegistrationTuning = Field(default_factory=RegistrationTuning)
-    """Lost and doubtful images."""
-    two_view: TwoViewTuning = Field(default_factory=TwoViewTuning)
-    """Single pairs of images."""
     start: StartTuning = Field(default_factory=StartTuning)
     """The start from approximate poses."""
     placement: PlacementTuning = Field(default_factory=PlacementTuning)

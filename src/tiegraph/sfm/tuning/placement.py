@@ -17,9 +17,8 @@ class AgreementTuning(Section):
     reach_percent: tuple[float, float] = (2.0, 98.0)
     """Percentiles of the distances of the points an image sees: the nearest and the farthest."""
     reach: float = Field(3.0, ge=1)
-    """Factor on the nearest and farthest distance of an image's points: matches must intersect in between."""
-    parallax: float = Field(3.0, ge=0)
-    """Base of two images seen from the farthest point, in tolerances, up to which parallel rays agree."""
+    """Factor on the nearest and farthest distance of an image's points: matches must intersect in between. Parallel
+    rays agree if the base, seen from the farthest point, is at most so many tolerances."""
 
 
 class ConsistencyTuning(Section):
@@ -28,28 +27,23 @@ class ConsistencyTuning(Section):
     agrees: float = Field(0.5, ge=0, le=1)
     """Share of a pair's matches that the model explains, from which the pair agrees."""
     min_votes: float = Field(30.0, ge=0)
-    """Matches that are needed for a verdict on a frame."""
+    """Matches that are needed for a verdict on a frame, and that must agree with a similarity between two models."""
     loses: float = Field(1.5, ge=1)
     """Ratio of contradicting to agreeing matches. On displaced sections 1 to 1.5 find the same, 2 and 3 fewer; at 1
     seven frames of a nuScenes drive were in doubt by 55 to 54."""
     near_steps: int = Field(2, gt=0)
     """Frames of a pass: images this close to each other show whether a model is torn between them."""
-    torn: float = Field(0.25, ge=0, le=1)
-    """Share of their matches that a model explains, below which it is torn there: right models of five sets 0.8 and
-    more, 0.44 at the longest step of a diving robot; 0 to 0.15 where a wall that repeats put one half of a canal
-    elsewhere (three models)."""
     explains: float = Field(0.75, ge=0, le=1)
-    """Share of all verified matches that a right model explains: of 90 surveys the right ones 0.77 (a canal in fog) to
-    1.0, most above 0.9; the wrong ones 0.65 and 0.67 (canals without their rig) and 0.74 (a torn photograph set)."""
-    least_positions: int = Field(3, gt=0)
-    """Measured positions of a part, and of the rest, that decide between two places."""
+    """Share of the verified matches that a right model explains: of 90 surveys the right ones 0.77 (a canal in fog) to
+    1.0, most above 0.9; the wrong ones 0.65 and 0.67 (canals without their rig) and 0.74 (a torn photograph set).
+    Between frames that follow each other a model is torn if it contradicts as large a share: right models of five
+    sets explain 0.8 and more there, 0.44 at the longest step of a diving robot; 0 to 0.15 where a wall that repeats
+    put one half of a canal elsewhere (three models)."""
 
 
 class TieTuning(Section):
     """The similarity between two models from the matches between their images (`ties.py`)."""
 
-    least: int = Field(20, gt=0)
-    """Matches that must agree with it."""
     independent: int = Field(2, gt=0)
     """Pairs of images without a common image from which these must come."""
     share: float = Field(0.15, ge=0, le=1)
@@ -87,64 +81,29 @@ class PlacementTuning(Section):
 class ScaleTuning(Section):
     """Length of a path compared with its rig (`start.py`)."""
 
-    matches_a_pair: int = Field(40, gt=0)
-    """Matches of a pair of images that vote."""
-    caps_rad: tuple[float, ...] = (0.002, 0.006)
-    """Cap of the vote of a match: two pixels of a survey camera; the second value is tried next, for poor poses."""
     range: float = Field(64.0, gt=1)
     """Factor by which a path may be too long or too short."""
-    grid: int = Field(57, gt=2)
-    """Scales tried over that range, evenly by their logarithm."""
     near: float = Field(1.25, gt=1)
     """Ratio of two scales whose votes must differ for the scale to be determined; a path that is longer or shorter by
     more is mapped again."""
     dip: float = Field(0.03, ge=0)
     """Relative difference of the votes that is needed then (KITTI's baseline 0.30, PandaSet's rig 0.000)."""
-    distances: int = Field(4000, gt=0)
-    """Distances between two positions that are drawn to determine the scale."""
-    least_positions: int = Field(3, ge=2)
-    """Positions of placed frames that are needed to determine the scale."""
     least_distances: int = Field(10, gt=0)
     """Distances above the noise that are needed to determine the scale."""
     least_noise_m: float = Field(0.01, gt=0)
     """Of a distance between two positions, whatever their sigmas say."""
-    clear: float = Field(1.1, ge=1)
-    """A scale from positions that differs from the rig's by a smaller factor is not applied, nor one within its
-    noise."""
-
-
-class StagedTuning(Section):
-    """The rounds of adjustment from approximate poses to a model, and its acceptance test (`run.py`).
-
-    Measured on models that are correct to some centimetres (canal, canal_demo, PandaSet, KITTI, Herz-Jesus-P25,
-    oppaiyama, fountain-P11): 0.957 to 1.000 of the pairs agree, 0.97 to 1.00 of the tied images see points, 0.20 to
-    0.69 px.
-    """
-
-    iterations: int = Field(25, gt=0)
-    """Iterations of a round's adjustment, at most."""
-    tolerance: float = Field(1e-4, gt=0)
-    """Relative change of the cost that ends it; the next round starts from there with better points."""
-    soft_l1_px: float = Field(1.0, gt=0)
-    """Scale of the soft L1 loss: half the first points have larger errors."""
-    register_rounds: int = Field(3, ge=0)
-    """Rounds of placing the frames without a pose."""
-    min_agreeing: float = Field(0.9, ge=0, le=1)
-    """Share of the verified pairs whose matches the model explains."""
-    min_seeing: float = Field(0.9, ge=0, le=1)
-    """Share of the tied images that see points."""
-    max_error_px: float = Field(2.0, gt=0)
-    """Mean reprojection error; observations are cut at 4 px."""
 
 
 class StartTuning(Section):
     """The start from approximate poses."""
 
+    register_rounds: int = Field(3, ge=0)
+    """Rounds of placing the frames without a pose."""
+    least_share: float = Field(0.9, ge=0, le=1)
+    """Share of the verified pairs whose matches an accepted model explains, and of the tied images that see points:
+    0.957 and 0.97 to 1.00 in models that are correct to some centimetres (canal, canal_demo, PandaSet, KITTI,
+    Herz-Jesus-P25, oppaiyama, fountain-P11)."""
     max_lever_off: float = Field(0.5, ge=0)
     """Relative deviation of the poses from a given lever arm; beyond it the start takes the given one."""
-    told_change: float = Field(0.02, ge=0)
-    """Relative change of the length of a path from which it is reported."""
     scale: ScaleTuning = Field(default_factory=ScaleTuning)
     """The length of the path against the rig."""
-    staged: StagedTuning = Field(default_factory=StagedTuning)
-    """Points and rounds of adjustment."""

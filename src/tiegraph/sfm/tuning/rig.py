@@ -16,19 +16,6 @@ class LeverArmTuning(Section):
     """Relative sigma of the distances in a drawing."""
 
 
-class RigPriorTuning(Section):
-    """Values of a rig file with a sigma (`constraints.py`)."""
-
-    least_deg: float = Field(0.001, gt=0)
-    """A sigma of 0 means "exactly": the smallest sigma that the solver can handle."""
-    least_m: float = Field(0.0001, gt=0)
-    """The same for places and lengths."""
-    free_deg: float = Field(30.0, gt=0)
-    """Sigma of the rotation of a sensor without own sigmas in a soft rig: the pairs hold it."""
-    free_m: float = Field(1.0, gt=0)
-    """The same for its place."""
-
-
 class DeriveTuning(Section):
     """Extrinsics derived from a model made without the rig (`rig.py`)."""
 
@@ -56,34 +43,30 @@ class DiagnosticsTuning(Section):
 
     min_scatter_px: float = Field(0.3, ge=0)
     """Movement in its images; a smaller one does no harm."""
-    min_sightings: int = Field(200, gt=0)
-    """Observations of a camera in all its images that are needed to judge the share left by an adjustment."""
     min_kept: float = Field(0.6, ge=0, le=1)
     """Share of its observations that a camera keeps, absolute and relative to that of the best camera."""
-
-
-class SystemTuning(Section):
-    """The normal equations of a rig's unknowns (`linear.py`)."""
-
-    most_points: int = Field(30_000, gt=0)
-    """Points used; of more, a random sample, and the sums are scaled up."""
-    most_frames: int = Field(400, gt=0)
-    """Frames used; of a longer model, the section of this length with most observations."""
-    least_frames: int = Field(5, gt=0)
-    """Frames of the rig that are needed."""
+    contradicted: float = Field(0.2, ge=0, le=1)
+    """Share of contradicting matches between two cameras, from which they contradict the model ..."""
+    times: float = Field(3.0, ge=1)
+    """... and its ratio to the share within the cameras: within cameras 0.7 to 12 %, between two up to 10 % where all
+    is well (boat, canal_demo, KITTI, vehicle), 19 to 79 % where they fire at different times (sections of PandaSet,
+    vehicle 0.5 m apart along the path)."""
+    min_pairs: int = Field(4, gt=0)
+    """Pairs of images with a verdict that are needed."""
 
 
 class PriorTestTuning(Section):
     """Test of which given values of a rig the images contradict (`confront.py`). Lenses as shares of f."""
 
     given_m: float = Field(0.002, gt=0)
-    """Sigma of the places of a calibrated rig unless its file gives one."""
+    """Sigma of the places of a calibrated rig unless its file gives one, and of a camera with its own time relative to
+    its frame, where positions bend the path."""
     given_deg: float = Field(0.01, gt=0)
     """The same for the rotations."""
     freed_m: float = Field(0.5, gt=0)
-    """Sigma of a place that is freed."""
+    """Sigma of a place that is freed, or that in a soft rig only pairs of sensors hold."""
     freed_deg: float = Field(5.0, gt=0)
-    """Sigma of a rotation that is freed."""
+    """The same for a rotation."""
     freed_lens: float = Field(0.05, gt=0)
     """Sigma of the parameters of a lens that is freed."""
     unknown_share: float = Field(0.3, gt=0)
@@ -92,38 +75,15 @@ class PriorTestTuning(Section):
     """BIC beyond which evidence is very strong (Kass and Raftery 1995)."""
     clear: float = Field(0.003, ge=0, le=1)
     """Share of the observations' sum of squares that a group must explain: lenses never follow their model exactly."""
-
-
-class ConfrontTuning(Section):
-    """Report of contradictions between a given rig and the images (`confront.py`). Sigmas of a calibration in that
-    test: lenses never follow their model exactly, and their remaining distortion rotates and shifts cameras of a rig
-    by this much (KITTI, PandaSet)."""
-
     held_to_m: float = Field(0.005, gt=0)
-    """Of a place."""
+    """Sigma of the places of a calibrated rig where it is said to contradict the images: what lenses have beyond their
+    model rotates and shifts cameras of a rig by this much (KITTI, PandaSet)."""
     held_to_deg: float = Field(0.05, gt=0)
-    """Of a rotation."""
+    """The same for the rotations."""
     held_to_lens: float = Field(0.002, gt=0)
-    """Of a focal length, as a share of it."""
+    """The same for a focal length, as a share of it."""
     held_to_time: float = Field(0.05, gt=0)
-    """Of the times of a rig given as synchronised: ms, or % of the frame interval where frames have no times."""
-    loosely_m: float = Field(0.05, gt=0)
-    """Of the place in extrinsics derived from a model: these are tested for the times only."""
-    loosely_deg: float = Field(3.0, gt=0)
-    """Of the rotation in such extrinsics."""
-
-
-class CameraMatchesTuning(Section):
-    """Matches between two cameras of a rig compared with the model (`diagnostics.py`). Shares of contradicting
-    matches: within cameras 0.7 to 12 %, between two up to 10 % where all is well (boat, canal_demo, KITTI, vehicle),
-    19 to 79 % where they fire at different times (sections of PandaSet, vehicle 0.5 m apart along the path)."""
-
-    contradicted: float = Field(0.2, ge=0, le=1)
-    """Share of contradicting matches between two cameras, from which they contradict the model ..."""
-    times: float = Field(3.0, ge=1)
-    """... and its ratio to the share within the cameras."""
-    min_pairs: int = Field(4, gt=0)
-    """Pairs of images with a verdict that are needed."""
+    """The same for the times of a rig given as synchronised: ms, or % of the frame interval where frames have none."""
 
 
 class RigTuning(Section):
@@ -133,29 +93,21 @@ class RigTuning(Section):
     """Prior sigma of the delay of a camera relative to the reference, if it is unknown."""
     late_wide: float = Field(16.0, ge=1)
     """Factor on the tolerance for observations while delays that move cameras by decimetres are estimated."""
-    held_deg: float = Field(0.01, gt=0)
-    """Sigma of the rotation of a camera with its own time relative to its frame, where positions bend the path."""
-    held_m: float = Field(0.003, gt=0)
-    """The same for the place."""
     nominal_m: float = Field(0.02, gt=0)
-    """Sigma of a place in a nominal rig that the images did not determine."""
+    """Sigma of a place in a nominal rig, or in extrinsics derived from a model: these are tested for the times only."""
     nominal_deg: float = Field(1.0, gt=0)
     """The same for its rotation."""
+    most_points: int = Field(30_000, gt=0)
+    """Points in the normal equations of a rig or of a readout; of more, a random sample, and the sums are scaled up."""
+    most_frames: int = Field(400, gt=0)
+    """Frames in those of a rig; of a longer model, the section of this length with most observations."""
     tight_deg: float = Field(0.5, ge=0)
     """Extrinsics with a smaller sigma are fixed in the mapper; it may refine others."""
-    priors: RigPriorTuning = Field(default_factory=RigPriorTuning)
-    """Values of a file with a sigma."""
     derive: DeriveTuning = Field(default_factory=DeriveTuning)
     """Extrinsics derived from a model without rig."""
     support: SupportTuning = Field(default_factory=SupportTuning)
     """Sensors without ties, and the model's units."""
     diagnostics: DiagnosticsTuning = Field(default_factory=DiagnosticsTuning)
     """Rig diagnostics."""
-    system: SystemTuning = Field(default_factory=SystemTuning)
-    """The linearised rig."""
     prior_test: PriorTestTuning = Field(default_factory=PriorTestTuning)
     """Test of given values."""
-    confront: ConfrontTuning = Field(default_factory=ConfrontTuning)
-    """Report of contradictions."""
-    camera_matches: CameraMatchesTuning = Field(default_factory=CameraMatchesTuning)
-    """Ties between the cameras."""

@@ -11,17 +11,10 @@ class FixTuning(Section):
 
     held_out_every: int = Field(5, ge=2)
     """ALGORITHMS: every fifth position is left out of the fit to examine its residual."""
-    least_to_hold_out: int = Field(10, gt=0)
-    """Positions below which none is held out: too few would remain for the fit."""
     rows_per_frame: int = Field(5, ge=0)
     """Rows of the receiver used between two frames: more add no information. 0: positions at frames alone."""
     max_step: float = Field(3.0, ge=1)
     """Gap between frames, in median steps of the pass, beyond which positions are not interpolated."""
-    cubic_error: float = Field(0.03, ge=0)
-    """Interpolation error as a share of the third difference. A cubic between evenly spaced frames errs by 0.023 of
-    the fourth difference, which a sharp turn makes as large as the third."""
-    parabola_error: float = Field(0.06, ge=0)
-    """The same for the second difference at the ends of a pass, where the error is 0.06 of the third."""
     unknown_sigma_m: float = Field(10.0, gt=0)
     """Sigma of a position whose source gives none (hand-held GPS)."""
     floor_m: float = Field(0.05, gt=0)
@@ -36,13 +29,9 @@ class FixTuning(Section):
 class NoiseTuning(Section):
     """Ratio of the errors of positions to their stated sigmas (`positionerrors.py`)."""
 
-    max_factor: float = Field(30.0, ge=1)
-    """Largest factor on a stated sigma."""
     min_rows: int = Field(6, gt=1)
-    """Positions of a level that are needed to estimate its factor; with times, to estimate their correlation; and
-    positions that are needed to say that the others contradict the model."""
-    max_correlation: float = Field(0.9, ge=0, lt=1)
-    """Largest correlation of neighbours in time that is used."""
+    """Positions of a level that are needed to estimate its factor, and to say that the others contradict the model;
+    control points among which a wrong one cannot hide."""
     slow_s: float = Field(60.0, gt=0)
     """Prior correlation time of slow errors of a receiver (multipath) (`positionerrors.py`)."""
     belief: float = Field(1.0, gt=0)
@@ -61,17 +50,11 @@ class MarkTuning(Section):
     """Smallest angle between rays at which their intersection is used."""
     max_mark_px: float = Field(20.0, gt=0)
     """A mark at this distance from its point is a wrong click or in a wrong image."""
-    soft_px: float = Field(3.0, gt=0)
-    """Scale of the robust loss (soft L1) in intersecting rays; marks with smaller errors were made in these images."""
-    min_for_copy: int = Field(3, gt=0)
-    """Points with two marks or more that are needed to find the copies of the images in which the marks were made."""
     min_to_refuse: int = Field(5, ge=4)
     """Control points that are needed to identify a wrong one by the other four."""
     free_for_copy: int = Field(10, gt=0)
     """Largest redundancy that counts where copies are compared, because marks share the errors of a model: in the
     correct copy their errors are a third of those in any other."""
-    much_better: float = Field(3.0, ge=1)
-    """Factor by which the other points must agree better without a refused one."""
     refused_of: int = Field(3, gt=0)
     """One of so many control points may be refused, and one of so many marks of a point unless the others are beyond
     chance."""
@@ -92,7 +75,7 @@ class ScaleTuning(Section):
 
 
 class FitTuning(Section):
-    """The similarity from a model to the world (`fit.py`)."""
+    """The similarity from a model to the world (`fit.py`), and the adjustment that follows (`georeferencing.py`)."""
 
     cauchy_scales: tuple[float, ...] = (4.0, 1.0)
     """Factors on the scale of the loss, in order."""
@@ -103,61 +86,23 @@ class FitTuning(Section):
     """Weak prior of an unknown lever arm: boats and cars have the antenna not much farther away."""
     offset_sigma_s: float = Field(1.0, gt=0)
     """Weak prior of the receiver's clock offset."""
-    rounds: int = Field(6, gt=0)
-    """Rounds of reweighting, at most, for each scale of the loss and for the choice of the inliers."""
-
-
-class SourceTuning(Section):
-    """Statements of each source of a georeference by itself (`weighing.py`)."""
-
-    told_deg: float = Field(20.0, gt=0)
-    """Largest sigma of a rotation that is stated."""
-    told_scale: float = Field(0.3, gt=0)
-    """Largest sigma of a scale that is stated."""
-    any_scale: float = Field(1.0, gt=0)
-    """Sigma of a scale beyond which a source is not used for it."""
-
-
-class SimilarityFitTuning(Section):
-    """Selection of evidence, and whether it determines the vertical (`similarityfit.py`, `upright.py`)."""
-
-    min_positions: int = Field(3, ge=3)
-    """Positions and control points that are needed to place a model, by all or by a source alone, and held-out ones
-    that are needed to check it."""
-    tilt_share: float = Field(0.5, gt=0)
-    """Share of the sigma of a ring's upward direction: above it, as a sigma of the tilt, that direction is used."""
-    many_points: int = Field(8, gt=0)
-    """Control points among which a wrong one cannot hide."""
-    at_frame: float = Field(0.9, ge=0, le=1)
-    """Weight of one frame in a fix from which their orientations are compared."""
-    looks_up_deg: float = Field(45.0, gt=0, lt=90)
-    """Mean upward angle of cameras that look at a ceiling, or down from a flight that is turned over; cameras at a
-    facade have smaller ones."""
+    least_bend: float = Field(0.05, ge=0)
+    """Bend as a share of the sigma of the shape, below which the model stays as it is."""
+    not_worse: float = Field(1.05, gt=0)
+    """Largest ratio of the held-out residual of the adjustment to that of the similarity, and of the reprojection
+    errors after and before: above it, the positions bend the model."""
 
 
 class StatementTuning(Section):
     """Remarks on a georeference (`statements.py`, `georef.py`)."""
 
     scatter: float = Field(3.0, ge=1)
-    """Factor on the stated sigma beyond which the scatter contradicts it."""
-    scatter_told: float = Field(1.5, ge=1)
-    """Factor on the stated sigma from which the scatter is reported."""
+    """Factor on the stated sigma beyond which the scatter contradicts it; the rig's baselines are named as the source
+    of the scale if the sigma by everything else is larger than theirs by it."""
+    told: float = Field(0.3, gt=0)
+    """Largest sigma of a rotation, in radians, or of a scale of a source alone that is stated."""
     agreeing: float = Field(0.7, ge=0, le=1)
     """Share of the positions that agree with the model, below which they contradict each other."""
-    rig_tells: float = Field(0.5, gt=0)
-    """Ratio of the scale's sigma to that of the positions alone, below which the rig's baselines are named as its
-    source."""
-
-
-class AdjustmentTuning(Section):
-    """The bundle adjustment in the world and its check (`georeferencing.py`)."""
-
-    least_bend: float = Field(0.05, ge=0)
-    """Bend as a share of the sigma of the shape, below which the model stays as it is."""
-    worse_pixels: float = Field(1.05, ge=1)
-    """Ratio of reprojection errors after and before: above it, the positions bend the model."""
-    not_worse: float = Field(1.01, gt=0)
-    """Largest ratio of the held-out residual of the adjustment to that of the similarity."""
 
 
 class WorldTuning(Section):
@@ -169,7 +114,4 @@ class WorldTuning(Section):
     marks: MarkTuning = Field(default_factory=MarkTuning)
     scale: ScaleTuning = Field(default_factory=ScaleTuning)
     fit: FitTuning = Field(default_factory=FitTuning)
-    sources: SourceTuning = Field(default_factory=SourceTuning)
-    similarity_fit: SimilarityFitTuning = Field(default_factory=SimilarityFitTuning)
     statements: StatementTuning = Field(default_factory=StatementTuning)
-    adjustment: AdjustmentTuning = Field(default_factory=AdjustmentTuning)

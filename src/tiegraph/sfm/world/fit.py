@@ -21,6 +21,7 @@ from tiegraph.geometry.transforms import (
     vector_by_turn,
 )
 from tiegraph.scene.evidence import LIMIT
+from tiegraph.sfm.model import ROUNDS
 from tiegraph.sfm.tuning.world import FitTuning, WorldTuning
 from tiegraph.sfm.world.positionerrors import PositionErrors, Stated
 
@@ -346,13 +347,13 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTun
         return np.linalg.norm(problem.residuals(y), axis=1)
 
     for scale in tuning.cauchy_scales:  # Cauchy over the whole vector: an outlier in height is one in plan too
-        for _ in range(tuning.rounds):
+        for _ in range(ROUNDS):
             weight = 1 / np.sqrt(1 + (distance(x) / (scale * LIMIT)) ** 2)
             before, x = x, problem.solve(x, weight, small).x
             if np.abs(x - before).max() < small:
                 break
     inlier = distance(x) < LIMIT * np.sqrt(3)
-    for _ in range(tuning.rounds):
+    for _ in range(ROUNDS):
         if inlier.sum() < 3:
             inlier[:] = True
         x = problem.solve(x, inlier.astype(float), small).x

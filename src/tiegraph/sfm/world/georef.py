@@ -10,7 +10,7 @@ from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.geometry.gravity import up_vector
 from tiegraph.geometry.transforms import PlacementError, Similarity, rms_length
 from tiegraph.scene.colmapmodel import image_poses
-from tiegraph.scene.evidence import Statement, contradictions, table
+from tiegraph.scene.evidence import LIMIT, Statement, contradictions, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.shape import Shape
@@ -281,7 +281,7 @@ def _scale_source(placing: SimilarityFit) -> str:
     if told:
         scale = measured.lengths[0]
         others = 1 / placing.fit.error.covariance[6, 6] - scale.sigma**-2  # information
-        if others < (placing.tuning.statements.rig_tells / scale.sigma) ** 2:
+        if others < (placing.tuning.statements.scatter * scale.sigma) ** -2:
             return scale.name
     if not len(placing.fixes):
         return "control points"
@@ -290,12 +290,12 @@ def _scale_source(placing: SimilarityFit) -> str:
 
 def _remarks(placing: SimilarityFit) -> list[str]:
     fit, scene, tuning = placing.fit, placing.measured.scene, placing.tuning
-    told, most = tuning.statements.scatter_told, tuning.statements.scatter
+    most = tuning.statements.scatter
     notes = [
         f"positions of stated sigma {sigma_m:.2f} m scatter {factor:.1f} times as much: their sigma was increased "
         "accordingly"
         for sigma_m, factor, count in fit.levels
-        if told < factor <= most and count >= tuning.noise.min_rows
+        if 1 + LIMIT / np.sqrt(6 * count) < factor <= most and count >= tuning.noise.min_rows  # of 3 values each
     ]
     if fit.roll_sigma_deg > tuning.up.lone_sigma_deg:
         known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.transforms import Similarity, rms_length, umeyama
+from tiegraph.geometry.transforms import LEAST_PLACES, Similarity, rms_length, umeyama
 from tiegraph.scene.colmapmodel import MOST_FRAMES, image_poses, matrix, read_model
 from tiegraph.scene.evidence import CHANCE, LIMIT
 from tiegraph.scene.scene import Scene
@@ -83,7 +83,7 @@ def _adjusted(
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference and the model in the world after the bundle adjustment with the positions, or as they were."""
     scene, given, shape = placing.measured.scene, placing.measured.given, first.uncertainty.shape
-    always, bounds = placing.measured.settings.adjust == "yes", tuning.world.adjustment
+    always, bounds = placing.measured.settings.adjust == "yes", tuning.world.fit
     if shape is None:
         why = f"the accuracy of its shape is unknown (few points, or more than {MOST_FRAMES} frames)"
         return first.noted(_REFUSED.format(why)), world
@@ -93,7 +93,7 @@ def _adjusted(
     placed, bent = _bent(world, placing, shape, held, tuning)
     before, after = (m.compute_mean_reprojection_error() for m in (world, bent))
     lost = bent.num_points3D() < world.num_points3D() / 2
-    if lost or (after > bounds.worse_pixels * before and not always):
+    if lost or (after > bounds.not_worse * before and not always):
         text = f"the images fit worse after it ({before:.3f} -> {after:.3f} px"
         text += f", {bent.num_points3D()} of {world.num_points3D()} points left)" if lost else ")"
         return first.noted(_REFUSED.format(text)), world
@@ -130,7 +130,7 @@ def _bent(
     measured = placing.measured
     scene, always = measured.scene, measured.settings.adjust == "yes"
     placed, bent, start = placing, world, _frames(world, scene)[:, :3, 3]
-    least = tuning.world.adjustment.least_bend * rms_length(shape.sigma[:, None])
+    least = tuning.world.fit.least_bend * rms_length(shape.sigma[:, None])
     for _ in range(3):  # at most: the model is bent, and fitted again
         assert placed.fit.bent is not None
         step, sigma = shape.step(np.arange(scene.frames), placed.fit.bent[0])
@@ -206,7 +206,7 @@ def as_marked(
     marks, notes = as_copy(control.marks, scene, copy, tuning.marks), (*control.notes, *([note] if note else []))
     bars = bars and replace(bars, marks=as_copy(bars.marks, scene, copy, tuning.marks))
     control = replace(control, marks=marks, notes=notes)
-    chance = by_chance(targets(model, scene, marks, len(control), tuning.marks), tuning.marks)
+    chance = by_chance(targets(model, scene, marks, len(control), tuning.marks))
     if chance <= CHANCE:
         return replace(given, control=control, bars=bars), ()
     return replace(given, control=None, bars=bars), (
@@ -224,9 +224,9 @@ def _points(model: pycolmap.Reconstruction, scene: Scene, given: Measurements, t
 def _check(placing: SimilarityFit) -> tuple[bool, str, np.ndarray | None]:
     """Whether the held-out positions fit the bent model at least as well as the similarity, why, and their residuals
     (K, 3) metres."""
-    fixes, bounds = placing.fixes, placing.tuning.adjustment
+    fixes, bounds = placing.fixes, placing.tuning.fit
     plain, bends = placing.held_out(bends=False), placing.held_out(bends=True)
-    if plain is None or bends is None or fixes.held.sum() < placing.tuning.similarity_fit.min_positions:
+    if plain is None or bends is None or fixes.held.sum() < LEAST_PLACES:
         if len(placing.measured.points) and not len(fixes):
             return True, "there are only control points, and none was held out", None
         return False, "there are too few positions to hold some out as a check", None
@@ -286,7 +286,7 @@ def bent_by(
         centre = transforms.centre(matrix(pose))
         places[image.frame_id] = PlacePrior(image=image.image_id, place=centre + step[frame], sigma=sigma[frame])
     ties = of_one_shot(world, scene, tuning.rig)
-    known = rig_priors(world, scene, held.soft, tuning.rig.priors)
+    known = rig_priors(world, scene, held.soft, tuning.rig)
     known = replace(known, relative_poses=ties, places=tuple(places.values()))
     return adjusted_to(world, held.rigs, held.cameras, known, tuning=tuning.adjust)
 

@@ -13,7 +13,7 @@ import scipy
 from scipy.special import chdtrc, comb
 
 from tiegraph.geometry import transforms
-from tiegraph.geometry.transforms import Similarity, umeyama
+from tiegraph.geometry.transforms import LEAST_PLACES, Similarity, umeyama
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.control import Control, Marks
 from tiegraph.scene.evidence import CHANCE, LIMIT, fits_better
@@ -44,11 +44,11 @@ class Target:
     chance: float = 1.0
 
 
-def by_chance(found: Sequence[Target], tuning: MarkTuning) -> float:
+def by_chance(found: Sequence[Target]) -> float:
     """The probability that randomly placed marks would fit as well as those of these points (Fisher's method); 0 if
     the points are too few to place a model."""
     told = [t.chance for t in found if len(t.marks) > 1]
-    enough = len(told) >= tuning.min_for_copy
+    enough = len(told) >= LEAST_PLACES
     return float(chdtrc(2 * len(told), -2 * np.log(np.maximum(told, 1e-300)).sum())) if enough else 0.0
 
 
@@ -96,8 +96,9 @@ def copy_of(model: pycolmap.Reconstruction, scene: Scene, marks: Marks, tuning: 
     )
     often = np.argsort(-np.bincount(own.point), kind="stable")[:20]  # number of points with most marks that are used
     own, views = own.where(np.isin(own.point, often)), _views(model, scene, own)
-    if _miss_px(views, scene, own, AS_IS, tuning) <= tuning.soft_px:
-        unsure = _miss_px(views, scene, own, Copy(0.5), tuning) <= tuning.soft_px
+    well_px = LIMIT * tuning.mark_sigma_px  # marks with smaller errors were made in these images
+    if _miss_px(views, scene, own, AS_IS, tuning) <= well_px:
+        unsure = _miss_px(views, scene, own, Copy(0.5), tuning) <= well_px
         return AS_IS, _UNSURE if unsure else said if outside else ""
     cameras = [c for k in np.unique(own.image) if (c := file_camera(scene.sensor_of(int(k)))) is not None]
     side = min((max(c.width, c.height) for c in cameras), default=1)
@@ -130,7 +131,7 @@ def _miss_px(
         if len(seen) > 1:
             residual = np.linalg.norm(_off_sigmas(seen, _nearest(seen)).reshape(-1, 2), axis=1)
             off.append(np.minimum(copy.size * residual * [s.sigma_px for s in seen], tuning.max_mark_px))
-    return float(np.mean(np.concatenate(off))) if len(off) > tuning.min_for_copy else tuning.max_mark_px
+    return float(np.mean(np.concatenate(off))) if len(off) > LEAST_PLACES else tuning.max_mark_px
 
 
 def as_copy(marks: Marks, scene: Scene, copy: Copy, tuning: MarkTuning) -> Marks:
@@ -172,7 +173,7 @@ def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) 
         parts = [[k for k in use if k != out_of] for out_of in use]
         factors = [_agreement(out, control, p)[0] for p in parts]
         best = int(np.argmin(factors))
-        if factors[best] > factor / tuning.much_better:
+        if factors[best] > factor / LIMIT:
             break
         bad, use = use[best], parts[best]
         _, fit = _agreement(out, control, use)
@@ -204,7 +205,7 @@ def _target(seen: list[_Ray], rows: np.ndarray, tuning: MarkTuning, of: int = 0)
         lambda x: _off_sigmas(seen, x),
         _nearest(seen),
         loss="soft_l1",
-        f_scale=tuning.soft_px / tuning.mark_sigma_px,
+        f_scale=LIMIT,
         x_scale="jac",
     )
     residual = solution.fun.reshape(-1, 2) * np.array([[s.sigma_px] for s in seen])

@@ -164,37 +164,14 @@ def _regular(normal: np.ndarray) -> np.ndarray:
 # --- while poses, antenna and clock offset are estimated -------------------------------------------------------------
 
 
-def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> np.ndarray:
+def factors(residual: np.ndarray, level: np.ndarray, tuning: NoiseTuning) -> np.ndarray:
     """(K,) factors on the sigmas, from residuals over sigma (K, 3); at least 1.
 
-    The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 -
-    r)) for the correlation r of neighbours in time (the effective number of a first-order process).
+    The median of squares per level, so that single outliers are left to the robust loss.
     """
     out = np.ones(len(level))
     for value in np.unique(level) if len(level) >= tuning.min_rows else ():
-        rows = np.flatnonzero(level == value)
-        if len(rows) < tuning.min_rows:
-            out[rows] = _scatter(residual)
-        else:
-            r = _correlation(residual[rows], time_s[rows], tuning)
-            out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
+        rows = level == value
+        squares = np.sum(residual[rows if rows.sum() >= tuning.min_rows else slice(None)] ** 2, axis=1)
+        out[rows] = np.clip(np.sqrt(np.median(squares) / MEDIAN_CHI2_3), 1.0, np.exp(_REACH))
     return out
-
-
-def _scatter(residual: np.ndarray) -> float:
-    return max(1.0, float(np.sqrt(np.median(np.sum(residual**2, axis=1)) / MEDIAN_CHI2_3)))
-
-
-def _correlation(residual: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> float:
-    """Correlation of residuals (K, 3) with the next in time, not negative; 0 without times.
-
-    The mean is not subtracted: a common offset is the strongest correlation there is.
-    """
-    known = np.flatnonzero(np.isfinite(time_s))
-    if len(known) < tuning.min_rows:
-        return 0.0
-    length = np.linalg.norm(residual, axis=1, keepdims=True)
-    short = residual * np.minimum(1.0, np.median(length) / np.maximum(length, 1e-12))  # an outlier must not decide
-    in_order = short[known[np.argsort(time_s[known], kind="stable")]]
-    a, b = in_order[:-1], in_order[1:]
-    return float(np.clip(2 * np.sum(a * b) / max(np.sum(a**2 + b**2), 1e-12), 0.0, tuning.max_correlation))

@@ -8,7 +8,7 @@ import numpy as np
 
 from tiegraph.geometry.geodesy import datum_sigma_m
 from tiegraph.geometry.gravity import Up
-from tiegraph.geometry.transforms import Similarity, umeyama
+from tiegraph.geometry.transforms import LEAST_PLACES, Similarity, umeyama
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.settings import GeorefSettings
@@ -17,7 +17,7 @@ from tiegraph.sfm.world.fit import ANTENNA, CLOCK, Evidence, Fit, by_errors, fit
 from tiegraph.sfm.world.fixes import Fixes, Measured, make_fixes
 from tiegraph.sfm.world.positionerrors import HARDLY, MEDIAN_CHI2_3, Stated, factors
 from tiegraph.sfm.world.upright import believed, looking_up, mirrored, up_to_use, upside_down
-from tiegraph.sfm.world.weighing import Weighed, weigh
+from tiegraph.sfm.world.weighing import UNKNOWN, Weighed, weigh
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class SimilarityFit:
         evidence = evidence if bends else replace(evidence, modes=evidence.modes[:, :, :0])
         held = np.append(self.fixes.held, np.zeros(len(evidence.frame) - count, bool))
         seen = self.fit.inlier & ~held
-        if not held.any() or seen.sum() < self.tuning.similarity_fit.min_positions:
+        if not held.any() or seen.sum() < LEAST_PLACES:
             return None
         blind = by_errors(evidence, self.up, replace(self.fit, inlier=seen), self.rows, self.tuning)
         assert blind.bent is not None
@@ -76,7 +76,7 @@ class SimilarityFit:
         up = up and replace(up, direction=there.rotation @ up.direction)
         start = replace(self.fit, similarity=Similarity())
         off = start.residuals(evidence)[:count]
-        factor = factors(off / fixes.sigma, fixes.level, fixes.time_s, self.tuning.noise)
+        factor = factors(off / fixes.sigma, fixes.level, self.tuning.noise)
         times = np.linalg.norm(off / (fixes.sigma * factor[:, None]), axis=1)
         inlier = np.append(times < LIMIT * np.sqrt(3), self.fit.inlier[count:])
         fit = by_errors(evidence, up, replace(start, inlier=inlier), self.rows, self.tuning, bent)
@@ -100,14 +100,14 @@ def fit_to_world(measured: Measured) -> SimilarityFit | NotPlaced:
     stated, points = make_fixes(scene, registered, given, tuning.fixes), len(measured.points)
     frames = len(np.unique(stated.home))
     places = len(np.unique(stated.position, axis=0))  # EXIF may give one position for a whole object
-    if min(frames, places) + points < tuning.similarity_fit.min_positions:
+    if min(frames, places) + points < LEAST_PLACES:
         few = f"{frames} registered frames have a prior position"
         few += f" ({places} different ones)" if places < frames else ""
         few += f" and {points} control points can be used" if given.control is not None else ""
-        return NotPlaced(f"{few}, {tuning.similarity_fit.min_positions} are needed")
+        return NotPlaced(f"{few}, {LEAST_PLACES} are needed")
     arm, estimate, note = _lever_arm(scene, settings)
     rough, weighed, near = _selected(measured, stated, arm, estimate)
-    fixes = stated.widened(measured.frames(near.scale), near.scale, tuning.fixes).blurred(weighed.extra_m)
+    fixes = stated.widened(measured.frames(near.scale), near.scale).blurred(weighed.extra_m)
     moving = given.rows is not None and settings.antenna != "ignored"
     rough = replace(rough, free=frozenset([ANTENNA] * (estimate is not False) + [CLOCK] * moving))
     evidence, fit = believed(rough, fixes, up, near, tuning)
@@ -123,7 +123,7 @@ def fit_to_world(measured: Measured) -> SimilarityFit | NotPlaced:
         upright = by_errors(evidence, up, fit_similarity(evidence, up, tuning.fit), rows, tuning)
         up, note = up_to_use(evidence, up, tuning, fit, upright)
         fit, notes = fit if up is None else upright, [*notes, note]
-    if not 0 < fit.sigma["scale"] < tuning.sources.any_scale:
+    if not 0 < fit.sigma["scale"] < UNKNOWN:
         return NotPlaced(
             f"{fit.inlier.sum()} of {len(fit.inlier)} positions agree with it, and do not determine its size"
         )
@@ -206,7 +206,7 @@ def _selected(
         used = up_to_use(evidence, measured.up, tuning)[0]
         near = fit_similarity(evidence, used, tuning.fit).similarity
         metres = near.scale
-        fixes = stated.widened(measured.frames(metres), metres, tuning.fixes)
+        fixes = stated.widened(measured.frames(metres), metres)
     assert weighed is not None
     return evidence, weighed, near
 
@@ -215,7 +215,7 @@ def _of_fixes(measured: Measured, fixes: Fixes, arm: np.ndarray, metres: float) 
     """The evidence of positions alone."""
     pose, speed = fixes.blend(measured.frames(metres))
     orientation = measured.scene.world_from_rig[fixes.home, :3, :3].copy()
-    orientation[fixes.weights.max(axis=1) < measured.tuning.similarity_fit.at_frame] = np.nan
+    orientation[~fixes.at_frame] = np.nan
     scale = measured.length_scale
     return Evidence(
         frame=fixes.home,
@@ -258,12 +258,12 @@ def _of_points(evidence: Evidence, measured: Measured, metres: float) -> Evidenc
 def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tuning: WorldTuning) -> float:
     """Ratio of the differences between control points to their sigmas; 1 with three of them."""
     count = len(place)
-    if count <= tuning.similarity_fit.min_positions:
+    if count <= LEAST_PLACES:
         return 1.0
     off = umeyama(place, world, 1 / sigma[:, 0] ** 2)(place) - world
     squares = np.sum((off / sigma) ** 2, axis=1)
     typical = float(np.mean(squares))
-    if count >= tuning.similarity_fit.many_points:
+    if count >= tuning.noise.min_rows:  # a wrong one cannot hide
         typical = float(np.median(squares)) * 3 / MEDIAN_CHI2_3
     return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
 

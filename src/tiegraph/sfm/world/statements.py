@@ -101,7 +101,7 @@ def statements(found: Georeference, placing: SimilarityFit) -> list[Statement]:
     for source in weighed.sources:
         used = (SCALE,) * (source.name in weighed.scale_used)
         used += (HEADING, *TILTS, *PLACES) * (source.name in weighed.places_used)
-        said = source.statements(result, weighed.at, used, placing.tuning.sources)
+        said = source.statements(result, weighed.at, used, placing.tuning.statements)
         out += [s for s in said if placing.up is None or source.name == CONTROL or s.quantity not in TILTS]
     for k, scale in enumerate(measured.lengths):
         out += length_statement(scale, result, k == 0 and placing.evidence.log_scale is not None)
@@ -199,7 +199,7 @@ def _rests_on(placing: SimilarityFit) -> list[str]:
     measured = placing.measured
     if not measured.lengths or not placing.weighed.lengths_used:
         return []
-    scale, most = measured.lengths[0], placing.tuning.sources.told_scale
+    scale, most = measured.lengths[0], placing.tuning.statements.told
     told = [s for s in placing.weighed.sources if s.scale_sigma < most]
     checked = " and ".join(f"the {s.name} determine it to {s.scale_sigma:.1%}" for s in told)
     levers = ", ".join(s.name for r in measured.scene.rigs if not r.nominal for s in r.sensors[1:])

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiegraph.geometry.gravity import Up
+from tiegraph.geometry.gravity import STEEP_DEG, Up
 from tiegraph.geometry.transforms import Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, RARELY, fits_better
 from tiegraph.sfm.tuning.world import StatementTuning, WorldTuning
@@ -27,7 +27,7 @@ def believed(
     used, count = up_to_use(evidence, up, tuning, near)[0], len(fixes)
     fit = fit_similarity(evidence, used, tuning.fit, near)
     for _ in range(3 if count else 0):  # rounds in which sigmas follow the residuals
-        factor = factors(fit.residuals(evidence)[:count] / fixes.sigma, fixes.level, fixes.time_s, tuning.noise)
+        factor = factors(fit.residuals(evidence)[:count] / fixes.sigma, fixes.level, tuning.noise)
         evidence = replace(evidence, sigma=np.concatenate([fixes.sigma * factor[:, None], evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, fit.similarity)
     return evidence, fit
@@ -66,7 +66,7 @@ def up_to_use(
             f"the positions determine the tilt ({known}): the upward direction of {up.cameras} is {off:.0f} deg off "
             "and is not used"
         )
-    if up.tilt and tilt > tuning.similarity_fit.tilt_share * up.sigma_deg:
+    if up.tilt and tilt > up.sigma_deg:
         return up, (
             f"the positions do not determine the tilt ({known}): the upward direction of {up.cameras} does, with a "
             f"sigma of about {up.sigma_deg:.0f} deg; along so straight a track an exchange of east and north, or of "
@@ -136,14 +136,13 @@ def looking_up(measured: Measured, evidence: Evidence, fixes: Fixes, fit: Fit) -
     def up_deg(placed: Similarity) -> float:
         return float(np.degrees(np.arcsin(np.clip(np.mean(axes @ placed.rotation[2]), -1, 1))))
 
-    steep = tuning.similarity_fit.looks_up_deg
     if scene.prior not in ("gnss", "exif") or evidence.oriented.any() or not len(axes):
         return ""
-    if not _whole(measured, evidence.frame) or up_deg(fit.similarity) - LIMIT * fit.sigma["tilt_deg"] < steep:
+    if not _whole(measured, evidence.frame) or up_deg(fit.similarity) - LIMIT * fit.sigma["tilt_deg"] < STEEP_DEG:
         return ""
     _, errors, other = _exchanged(evidence, fixes, fit, tuning)
     first, second = (rms_length(r) for r in errors)
-    if up_deg(other) > -steep or fits_better(second, first, 3 * tuning.noise.min_rows - 7):
+    if up_deg(other) > -STEEP_DEG or fits_better(second, first, 3 * tuning.noise.min_rows - 7):
         return ""
     return (
         f"with these positions the cameras look up, by {up_deg(fit.similarity):.0f} deg on average (sigma "

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.gravity import Up
-from tiegraph.geometry.transforms import PlacementError, Similarity, rms_length
+from tiegraph.geometry.transforms import LEAST_PLACES, PlacementError, Similarity, rms_length
 from tiegraph.scene.evidence import LIMIT, Statement, Trend, trend
-from tiegraph.sfm.tuning.world import FitTuning, SourceTuning, WorldTuning
+from tiegraph.sfm.tuning.world import FitTuning, StatementTuning, WorldTuning
 from tiegraph.sfm.world.fit import ANTENNA, Evidence, by_errors, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Measured
 from tiegraph.sfm.world.positionerrors import MEDIAN_CHI2_3, Stated
@@ -25,6 +25,7 @@ POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "
 CONTROL, ORIENTATIONS = "control points", "given orientations"
 SCALE, HEADING, TILTS = "scale", "heading", ("tilt towards north", "tilt towards east")
 PLACES = ("place east", "place north", "height")
+UNKNOWN = 1.0  # relative sigma of a scale that is not known at all
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, from which its ends contradict each other
 
 
@@ -49,15 +50,15 @@ class Source:
         return (here - result(at[None]))[0], self.error.sigma(here)[0]
 
     def statements(
-        self, result: Similarity, at: np.ndarray, used: Sequence[str], tuning: SourceTuning
+        self, result: Similarity, at: np.ndarray, used: Sequence[str], tuning: StatementTuning
     ) -> list[Statement]:
         """Its statements on scale, heading, tilt and place of a model point ``at`` (3,), relative to the result."""
         said = []
-        if self.scale_sigma < tuning.told_scale:
+        if self.scale_sigma < tuning.told:
             said += _of_scale(self.name, self.similarity.scale / result.scale, self.scale_sigma, SCALE in used)
         turn = Rotation.from_matrix(self.similarity.rotation @ result.rotation.T)
         spread = np.degrees(np.sqrt(np.diag(self.error.covariance)[:3]))
-        said += [s for s in _of_turn(self.name, turn, spread, used) if s.sigma < tuning.told_deg]
+        said += [s for s in _of_turn(self.name, turn, spread, used) if np.radians(s.sigma) < tuning.told]
         return said + [
             Statement(quantity=n, source=self.name, value=float(v), sigma=float(s), unit="m", used=n in used)
             for n, v, s in zip(PLACES, *self.off(result, at))
@@ -168,7 +169,7 @@ def _alone(name: str, own: Evidence, rows: Stated | None, tuning: WorldTuning) -
     Positions are weighed by the errors that their residuals in this fit show, and by their common error
     (``positionerrors``); control points by their stated sigmas (``rows`` None).
     """
-    if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < tuning.similarity_fit.min_positions:
+    if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < LEAST_PLACES:
         return None
     own, sigma = replace(own, log_scale=None), own.sigma
     fit = fit_similarity(own, None, tuning.fit)
@@ -195,7 +196,7 @@ def _few(own: Evidence, positions: Source | None) -> Source | None:
 
 def _with_scale(out: Weighed, measured: Measured, evidence: Evidence, fixes: Fixes) -> Weighed:
     """Which sources determine the scale: the majority against one; of two, the one whose residuals have no trend."""
-    told = {s.name: s for s in out.sources if s.scale_sigma < measured.tuning.sources.any_scale}
+    told = {s.name: s for s in out.sources if s.scale_sigma < UNKNOWN}
     names, own = tuple(told), fixes.position
     spread_m = rms_length(own - own.mean(axis=0)) if len(own) else 0.0
 
