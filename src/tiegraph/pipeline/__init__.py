@@ -58,7 +58,7 @@ STAGES = (
            tuned=("scene", "network", "features", "sfm")),
     _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=11,
            uses=("candidates",), tuned=("scene",)),
-    _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=12,
+    _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=13,
            uses=("features",), tuned=("features", "sfm")),
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=5, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs", version=3,
