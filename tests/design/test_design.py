@@ -16,13 +16,13 @@ from tiegraph.design.design import DesignResult, design, with_coverage
 from tiegraph.design.matchprediction import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Predictor, Tracks
-from tiegraph.design.tuning import MatchPredictionTuning, NetTuning, Tuning
+from tiegraph.design.tuning import NetTuning, Tuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
 from tiegraph.scene.pairs import REASONS, Pairs, PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
-TUNING, NET, EXPECTED = Tuning(few_pairs=0), NetTuning(), MatchPredictionTuning()
+TUNING, NET = Tuning(few_pairs=0), NetTuning()
 papers.plug_in(papers.DESIGNS, "fuse2014_safe", PLUGGED)
 METHODS = ("hybrid", "top", "fuse2014_safe")
 
@@ -135,7 +135,7 @@ def test_a_stricter_budget_of_loss_costs_pairs() -> None:
 @pytest.mark.slow
 def test_hybrid_predicts_less_loss_than_top_at_the_same_number_of_pairs() -> None:
     scene, pairs, ties = corridor()
-    expected = expected_matches(pairs, ties, EXPECTED)
+    expected = expected_matches(pairs, ties)
     predictor = Predictor(Candidates.make(pairs.i, pairs.j, expected, ties, len(scene)), NET)
 
     def variance(chosen: Pairs) -> float:
@@ -232,12 +232,12 @@ def test_expected_matches_follow_the_overlap() -> None:
     shown = np.arange(0, 400, 2)
     count = rng.poisson(80 * overlap[shown] ** 1.2)  # not quite in proportion
     ties = PreviewMatches.make(shown, shown + 1, [np.zeros((n, 2)) for n in count])
-    expected = expected_matches(pairs, ties, EXPECTED)
+    expected = expected_matches(pairs, ties)
     hidden = np.arange(1, 400, 2)
     error = expected[hidden] - 80 * overlap[hidden] ** 1.2
     assert 0.5 < np.sqrt(np.mean(error**2)) < 6 and np.all(expected >= 1)
     assert np.corrcoef(expected[shown], count)[0, 1] > 0.99
-    assert expected_matches(Pairs.make([0], [1], "file"), None, EXPECTED).tolist() == [1.0]
+    assert expected_matches(Pairs.make([0], [1], "file"), None).tolist() == [1.0]
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def volume_bytes(height: int, width: int, disparities: int, tuning: TsgmTuning) 
     for level in range(levels + 1):
         h, w = -(-height >> level), -(-width >> level)
         count = -(-disparities >> level)
-        each = count if level == levels else min(count + _BLOCK, tuning.hole_disparities + 2 * _BLOCK)
+        each = count if level == levels else min(count + _BLOCK, tuning.full_disparities + 2 * _BLOCK)
         each = -(-each // _BLOCK) * _BLOCK
         rows = min(h, 3 * tuning.strip_overlap_px)
         cell = 1 if level == levels else _CELL_BYTES
@@ -102,7 +102,7 @@ def match(
     """Disparity (h, w) f4, NaN = none, checked left to right: left (x, y) shows what right (x + shift - d, y) shows.
 
     left (h, w) u1, right (h, any) u1, 0 <= d < disparities. Pixels not in use (h, w) bool get the least work: sky and
-    platform have no answer on the coarser level, and would be searched as holes, over ``hole_disparities``.
+    platform have no answer on the coarser level, and would be searched as holes, over ``full_disparities``.
     """
     if _sgm is None:
         raise EngineMissing(
@@ -190,7 +190,8 @@ def _match(
         rules = _sgm.RangeRules()
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
         # A pixel is given the disparities of the coarser level within 3 pixels, and one more on both sides.
-        rules.reach, rules.margin, rules.hole_limit = 3, 1, tuning.hole_disparities
+        rules.reach, rules.margin = 3, 1
+        rules.hole_limit = tuning.full_disparities - 2 * rules.margin
         height, width = lefts[level].shape
         first, blocks = kernels.ranges(found, width, height, rules)
         if (used := uses[level]) is not None:  # one block in the middle of the range

@@ -42,11 +42,10 @@ class TsgmTuning(Section):
     """Penalty of a disparity step of one pixel (P1)."""
     large_jump: int = Field(120, ge=0)
     """Penalty of larger steps (P2) where neighbouring pixels are equally bright; it falls with the grey step."""
-    hole_disparities: int = Field(254, gt=0)
-    """Disparities at most where the coarser level has none. 510 find thin bars a little better in the same time, but
-    then no strip of 192 rows is sure to stay within 300 MB."""
-    full_disparities: int = Field(256, gt=0)
-    """Disparities at most of the level that is matched over its full range."""
+    full_disparities: int = Field(256, gt=16)
+    """Disparities at most of the level that is matched over its full range, and of a pixel where the coarser level has
+    none. 512 of such a pixel find thin bars a little better in the same time, but then no strip of 192 rows is sure to
+    stay within 300 MB."""
     strip_overlap_px: int = Field(64, gt=0)
     """Rows that strips of a level share: a path has nearly forgotten where it began."""
     kernel: str = ""

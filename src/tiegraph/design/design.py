@@ -88,7 +88,7 @@ def design(
     if takes_all(pairs, scene, settings, tuning):
         few = settings.method != "all" and count > 0
         return _made(pairs, pairs, (f"all {count} pairs: matching so few costs next to nothing",) if few else (), {})
-    expected = expected_matches(pairs, ties, tuning.match_prediction)
+    expected = expected_matches(pairs, ties)
     if settings.method not in _OWN:
         # The pairs left by a method besides those of this module
         method = cast(Method, choose_entry("design method", settings.method, METHODS))
@@ -215,7 +215,8 @@ def holding(
     """
     left, sure = np.arange(len(i)), np.zeros(len(i))
     rounds: list[np.ndarray] = []
-    steps = (*zip(tuning.chances, tuning.chances), (tuning.sure, 1.0))
+    tenths = [k / 10 for k in range(1, 10)]  # a probability counts as the next one below
+    steps = (*zip(tenths, tenths), (tuning.sure, 1.0))
     while len(left):
         tree = left[forest(i[left], j[left], strength[left], nodes)]
         rounds.append(tree)
@@ -251,7 +252,6 @@ def choose(
     weight[start] = candidates.expected[start]
     tracks.choose(start, tracks.new())
     order, loss, rounds, looked, before = [start], np.nan, 0, 0, tracks
-    growth = tuning.growth_fine if candidates.images <= 20_000 else tuning.growth_coarse
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
@@ -268,9 +268,8 @@ def choose(
         if room <= 0:
             break
         new = tracks.new()
-        pace = growth if count < 4.0 * candidates.images else tuning.growth_coarse
-        wanted = min(max(1, int(pace * count)), room)
-        each = max(1, round(2 * pace * count / candidates.images))
+        wanted = min(max(1, int(tuning.growth * count)), room)
+        each = max(1, round(2 * tuning.growth * count / candidates.images))
         net = Net(laplacian(candidates.i, candidates.j, weight, candidates.images), tuning.net)
         resistance = net.resistance(candidates.i, candidates.j)
         worth = new + tuning.net.known * candidates.expected

@@ -188,11 +188,11 @@ def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray) -> np.
     return (x >> np.uint64(11)).astype(np.float64) / float(1 << 53)
 
 
-def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: MatchPredictionTuning) -> np.ndarray:
+def expected_matches(pairs: Pairs, ties: PreviewMatches | None) -> np.ndarray:
     """(P,) preview matches of each pair, measured or expected, at least 1.
 
     Counted matches first; else the score; else in proportion to the predicted overlap, as for previewed pairs;
-    else the median of the known ones. A measured count below the ``floor`` of the prediction by overlap is raised.
+    else the median of the known ones.
     """
     counted = counted_matches(pairs, ties)
     measured = np.where(np.isnan(counted), pairs.score, counted)
@@ -200,7 +200,7 @@ def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: MatchPre
     a, b = pairs.overlap[both], measured[both]
     by_overlap = pairs.overlap * (float(a @ b) / float(a @ a) if len(a) else 60.0)  # only ratios matter then
     usual = float(np.nanmedian(measured)) if np.isfinite(measured).any() else 1.0
-    out = np.where(np.isfinite(measured), np.fmax(measured, tuning.floor * by_overlap), by_overlap)
+    out = np.where(np.isfinite(measured), measured, by_overlap)
     return np.maximum(np.where(np.isfinite(out), out, usual), 1.0)
 
 

@@ -269,12 +269,12 @@ class Net:
         return np.where(self.part[i] == self.part[j], np.maximum(out, 0.0), np.inf)
 
     def _samples(self) -> np.ndarray:
-        """(n, projections) f4 random draws of the nodes with the pseudo-inverse as covariance."""
+        """(n, draws) f4 random draws of the nodes with the pseudo-inverse as covariance."""
         upper = self._matrix.tocoo()
         link = upper.row < upper.col
         row, col, weight = upper.row[link], upper.col[link], np.sqrt(np.maximum(-upper.data[link], 0.0))
-        right = np.empty((self.nodes, self._tuning.projections))
-        for k in range(self._tuning.projections):
+        right = np.empty((self.nodes, self._tuning.draws))
+        for k in range(self._tuning.draws):
             noise = weight * self._rng.choice((-1.0, 1.0), len(weight))
             right[:, k] = np.bincount(row, noise, self.nodes) - np.bincount(col, noise, self.nodes)
         return self._factor.solve(right).astype(np.float32)
@@ -292,10 +292,10 @@ class Net:
         exact = float(np.sum(waves * self._factor.solve(waves)))
         rest = self._signs()
         rest = self._centred(rest - waves @ (waves.T @ rest))
-        return (exact + float(np.sum(rest * self._factor.solve(rest))) / self._tuning.waves) / self.nodes
+        return (exact + float(np.sum(rest * self._factor.solve(rest))) / self._tuning.draws) / self.nodes
 
     def _signs(self) -> np.ndarray:
-        return self._centred(self._rng.choice((-1.0, 1.0), (self.nodes, self._tuning.waves)))
+        return self._centred(self._rng.choice((-1.0, 1.0), (self.nodes, self._tuning.draws)))
 
     def _centred(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors (n, K) less their mean in every component."""

@@ -25,8 +25,6 @@ class MatchPredictionTuning(Section):
     """Previewed pairs with common points below which the law is the usual one."""
     even_matches: float = Field(7.5, gt=0)
     """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
-    floor: float = Field(0.25, ge=0, le=1)
-    """Least share of its expectation for a pair: a preview that failed does not prove that full resolution does."""
 
 
 class NetTuning(Section):
@@ -35,10 +33,9 @@ class NetTuning(Section):
     wide_images: int = Field(300, gt=0)
     """Images of a track: a larger one, made by wrong matches, counts as one for each so many images in a row.
     COLMAP's mapper takes none of more than 100."""
-    projections: int = Field(48, gt=0)
-    """Random ones beyond: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008)."""
-    waves: int = Field(24, gt=0)
-    """Long waves of a net beyond, whose variance is computed one by one."""
+    draws: int = Field(48, gt=0)
+    """Random ones of a large net: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008); of
+    its variance so many long waves are computed one by one."""
     least_share: float = Field(0.01, ge=0, le=1)
     """Share of the expected tracks of an unseen pair that always counts: no chosen pair ties nothing."""
     known: float = Field(0.05, ge=0)
@@ -90,15 +87,11 @@ class Tuning(Section):
     """The net of resistances and its tracks."""
     wanted: float = Field(3.0, gt=0)
     """Pairs across every cut that are expected to be verified, of those that any design keeps."""
-    chances: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-    """Steps of the probability of being verified, rising: a probability counts as the next one below."""
     sure: float = Field(0.95, ge=0, le=1)
     """Probability from which a pair counts as sure."""
-    growth_fine: float = Field(0.03, gt=0)
-    """Growth of the network in a round of the choice. On simulated surveys of 150 and 200 images it gives the sigma of
-    one pair at a time within 1 %."""
-    growth_coarse: float = Field(0.10, gt=0)
-    """The same for networks of many images, and for those that are dense already."""
+    growth: float = Field(0.05, gt=0)
+    """Growth of the network in a round of the choice: 0.03, 0.05 and 0.1 choose 1373, 1431 and 1467 pairs of the
+    example survey and 125, 126 and 126 of a rendered boat; a smaller one takes more rounds."""
     growth_look: float = Field(0.20, ge=0)
     """Growth of the network between two evaluations of its accuracy, which cost more than a round."""
     surface: SurfaceTuning = Field(default_factory=SurfaceTuning)

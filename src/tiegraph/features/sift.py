@@ -52,8 +52,7 @@ def evened(gray: np.ndarray, tuning: ContrastTuning, shown: float | None = None)
     ``shown``: its contrast, if that is known."""
     if (contrast(gray, tuning) if shown is None else shown) >= tuning.enough:
         return gray
-    tiles = cv2.createCLAHE(clipLimit=tuning.limit, tileGridSize=(tuning.tiles, tuning.tiles))
-    return np.asarray(tiles.apply(gray))
+    return np.asarray(cv2.createCLAHE(clipLimit=tuning.limit).apply(gray))
 
 
 def extract_sift(

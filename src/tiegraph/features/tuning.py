@@ -35,9 +35,7 @@ class ContrastTuning(Section):
     block: float = Field(0.02, gt=0, le=1)
     """Share of the longer side: the side of a block within which contrast is local."""
     limit: float = Field(4.0, gt=0)
-    """CLAHE: largest amplification of a tile's contrast."""
-    tiles: int = Field(8, gt=0)
-    """CLAHE: tiles along either side."""
+    """CLAHE: largest amplification of the contrast of a tile, one of OpenCV's 8 x 8."""
 
 
 class SiftTuning(Section):

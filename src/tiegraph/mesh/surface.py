@@ -17,7 +17,7 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.mesh.settings import MeshSettings
 from tiegraph.mesh.tuning import SurfaceTuning
 from tiegraph.scene.graph import parts
-from tiegraph.scene.results import Cloud
+from tiegraph.scene.results import APART_SIGMAS, Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 MOST_POINTS = 4_000_000
@@ -205,7 +205,7 @@ def _near(mesh: Mesh, xyz: np.ndarray, sigma: np.ndarray, detail: float, tuning:
     # The sixth neighbour in a square grid lies 1.4 spacings away; what is sparser than eight details is a few strays
     local = np.clip(tree.query(xyz, min(7, len(xyz)))[0][:, -1] / 1.4, detail, 8.0 * detail)
     distance, nearest = tree.query(mesh.xyz)
-    reach = np.maximum(tuning.reach * local, tuning.sigmas * np.nan_to_num(sigma))[nearest]
+    reach = np.maximum(tuning.reach * local, APART_SIGMAS * np.nan_to_num(sigma))[nearest]
     there = (distance <= reach)[mesh.corners].all(axis=1)
     far = (distance > tuning.rim * local[nearest])[mesh.corners].any(axis=1)[there]
     cut = mesh.of_faces(there)

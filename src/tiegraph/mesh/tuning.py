@@ -12,9 +12,7 @@ class SurfaceTuning(Section):
     """From points to triangles (`surface.py`)."""
 
     reach: float = Field(3.0, gt=0)
-    """Gaps are bridged as far as this many details from the nearest point, ..."""
-    sigmas: float = Field(3.0, gt=0)
-    """... or so many standard deviations of that point, whichever is more."""
+    """Gaps are bridged as far as this many details from the nearest point, or as its sigma allows (APART_SIGMAS)."""
     rim: float = Field(1.0, gt=0)
     """At its border the surface ends this many details from the nearest point."""
     border_rounds: int = Field(2, ge=0)
@@ -31,10 +29,9 @@ class ViewTuning(Section):
     orthophoto."""
     border: float = Field(0.05, gt=0, lt=0.5)
     """Nearer to the image border or mask than this share of the image size it counts less, in proportion."""
-    unconfirmed: float = Field(0.05, ge=0, le=1)
-    """Weight of an image whose own depth map has no depth there, beside one that has the surface's."""
-    nearly: float = Field(0.05, ge=0, le=1)
-    """Weight of an image from which a face lies behind others by less than the size of a face: of a rough surface."""
+    unsure: float = Field(0.05, ge=0, le=1)
+    """Weight of an image that may not see a face, beside one that does: its own depth map has no depth there, or from
+    it the face lies behind others by less than the size of a face, as on a rough surface."""
     together: float = Field(4.0, ge=0)
     """How strongly neighbours want one image: a face goes along with all its neighbours unless its own best image is
     exp(4) times as good."""

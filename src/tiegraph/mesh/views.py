@@ -68,8 +68,8 @@ def seen_by(camera: Pinhole, mesh: Mesh, mask: np.ndarray, own: DepthMap | None,
     free &= (away > 0) & (confirmed >= 0)
     inner = np.minimum(1.0, away / tuning.border)
     share = _share_around(at / scale, confirmed, size)
-    quality = front**tuning.angle_power / pixel * inner * (tuning.unconfirmed + share)
-    quality *= np.where(plain, 1.0, tuning.nearly)
+    quality = front**tuning.angle_power / pixel * inner * (tuning.unsure + share)
+    quality *= np.where(plain, 1.0, tuning.unsure)
     return Seen(faces[free], quality[free].astype(np.float32))
 
 
