@@ -73,7 +73,7 @@ STAGES = (
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=6, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply", "passes"), version=7,
            scratch=(".tiles",), tuned=("evaluate",)),
-    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=9,
+    _stage("products", ("georef", "refine", "dense", "cloud"), ("products",), "tile", version=10,
            scratch=("products/.tiles",), tuned=("evaluate",)),
     _stage("evaluate", ("georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"), version=11,
            scratch=("evaluate/.tiles",), tuned=("scene",), spares=("dense", "cloud")),
