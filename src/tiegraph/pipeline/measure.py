@@ -243,7 +243,7 @@ def _window(polygon: np.ndarray, map_: MapFiles, tuning: VolumeTuning) -> tuple[
     step, size = 1, np.ptp(at, axis=0)
     while np.prod(size / step + 2) > MOST_PIXELS:
         step *= 2
-    wide = step * (tuning.rim_px + 2 * tuning.local_px)
+    wide = step * 3 * tuning.local_px
     left, top = (int(np.floor(v / step)) * step - wide for v in at.min(axis=0))
     right, low = (int(np.ceil(v / step)) * step + wide for v in at.max(axis=0))
     left, top = max(left, 0), max(top, 0)

@@ -226,7 +226,7 @@ def equidistance(w: np.ndarray, sigma: np.ndarray, tuning: ContourTuning) -> flo
     if not known.any():
         return 0.0
     low, high = np.quantile(w[known], [_TAILS, 1 - _TAILS])
-    least = max((high - low) / tuning.most_lines, tuning.sigmas * float(np.median(sigma[known])), 1e-3)
+    least = max((high - low) / tuning.most_lines, APART_SIGMAS * float(np.median(sigma[known])), 1e-3)
     return round_above(least)
 
 

@@ -71,8 +71,6 @@ class ContourTuning(Section):
 
     most_lines: float = Field(40.0, ge=1)
     """Lines between the lowest and the highest height at most: of 1, 2, 5, 10 ... one gives 16 to 40."""
-    sigmas: float = Field(2.0, ge=0)
-    """Lines are at least so many standard deviations of the heights apart."""
     smooth_cells: float = Field(2.0, gt=0)
     """Lines are drawn on heights smoothed by a Gaussian of so many of their cells, half a terrain cell each: a metre at
     most, the width of the pen on a plan at 1:2000."""
@@ -83,16 +81,14 @@ class ContourTuning(Section):
 class VolumeTuning(Section):
     """Volumes and their sigma (`volumes.py`)."""
 
-    rim_px: int = Field(10, ge=1)
-    """The ground around a polygon: so many pixels outside of it."""
     sectors: int = Field(16, ge=8)
     """Parts of that ring whose errors are taken as independent: enough for the sigma of a plane's three parameters to
     be good to a fifth, few enough for each to be longer than the errors of neighbours reach."""
     lowest: float = Field(0.01, ge=0, le=0.5)
     """The lowest ground is this quantile of the ring: the least of a thousand pixels is noise."""
     local_px: int = Field(10, ge=3)
-    """Heights are compared with planes by a Gaussian of so many pixels: twice as far as the matcher's windows share
-    errors, and short enough for a heap to be a plane."""
+    """Heights are compared with planes by a Gaussian of so many pixels, and the ground around a polygon is that far
+    outside of it: twice as far as the matcher's windows share errors, and short enough for a heap to be a plane."""
     least_shared: float = Field(0.2, ge=0, lt=1)
     """A share of the variance that does not show as scatter counts from this on: less is the error of finding it."""
 

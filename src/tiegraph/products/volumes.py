@@ -161,7 +161,7 @@ def plane(ground: Patch, polygon: np.ndarray, known: Known, tuning: VolumeTuning
 def _rim(ground: Patch, polygon: np.ndarray, tuning: VolumeTuning) -> np.ndarray:
     """The pixels just outside of a polygon whose height is known."""
     inside = (ground.share(polygon) > 0).astype(np.uint8)
-    size = 2 * tuning.rim_px + 1
+    size = 2 * tuning.local_px + 1
     near = cv2.dilate(inside, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     rim = (near > inside) & np.isfinite(ground.w) & np.isfinite(ground.sigma)
     if rim.sum() < _FEWEST:
