@@ -15,8 +15,8 @@ import pytest
 import terrain_world as world
 from tiegraph.errors import EngineMissing
 from tiegraph.geometry import transforms
-from tiegraph.pipeline import products
 from tiegraph.pipeline.view import Viewed
+from tiegraph.products import raster
 from tiegraph.products.raster import Place
 from tiegraph.products.terrain import Line
 from tiegraph.scene.pairs import Pairs
@@ -174,10 +174,10 @@ def test_contour_lines_keep_place_and_height(kind: str, tmp_path: Path, monkeypa
         def missing(*_: str) -> None:
             raise EngineMissing("pyogrio")
 
-        monkeypatch.setattr(products, "gdal", missing)
+        monkeypatch.setattr(raster, "gdal", missing)
     lines = [Line(w, LINE, sigma=0.1, index=False) for w in (41.0, 42.5)]
     path = tmp_path / "run" / "products" / "map" / "contours.gpkg"
-    assert products._write_lines(path, lines, world.surface(*SHAPE), Place(world.ORIGIN)) == f"contours.{kind}"
+    assert raster.write_lines(path, lines, world.surface(*SHAPE), Place(world.ORIGIN)) == f"contours.{kind}"
     found = viewed.contours() + viewed.middle
     assert len(found) == 8 and np.isnan(found[[3, 7]]).all()
     for part, line in zip((found[:3], found[4:7]), lines):
