@@ -102,8 +102,8 @@ class OnSurface:
 
     @property
     def widest_m(self) -> float:
-        """Width of an object at most: no more than half of the map."""
-        return min(self.objects_m, min(self.surface.shape) * self.surface.pixel_m / 2)
+        """Width of an object at most: no more than half that of a square as large as the map."""
+        return min(self.objects_m, float(np.sqrt(np.prod(self.surface.shape))) * self.surface.pixel_m / 2)
 
     def keep_cells(self, kind: str, w: np.ndarray, sigma: np.ndarray, known: np.ndarray) -> None:
         """Interpolate a surface through cells (rows, columns), NaN = not of it, within those that ``known`` ones

@@ -379,7 +379,7 @@ def _trimmed(surface: Surface, survey: Survey, settings: ProductsSettings, tunin
         best = float(np.nanmin(sizes))
         raise ReconstructionError(
             f"products.pixel_m = {pixel:g}: no image resolves {surface.name} better than by {best:.2g} {survey.unit}; "
-            f"give {best / tuning.coarsest:.1g} or more, or leave it out"
+            f"give {round_above(best / tuning.coarsest, _SERIES):g} or more, or leave it out"
         )
     uv = surface.frame.uvw(own[near] if near.any() else own)[:, :2]
     low, high = np.transpose([_ends(values) for values in uv.T])
